@@ -222,6 +222,22 @@ def test_settling_thrust_brings_the_liquid_aft() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("coast_s", [9.99, 10.0, 10.03, 10.07])
+def test_a_restart_at_the_instant_of_a_sample_happens_once(coast_s: float) -> None:
+    """The first cutoff is due at the ignition, on a sample; rounding puts the restart before or behind another one."""
+    last = {"coast_s": coast_s, "cutoff": {"inertial_speed_mps": 7760.0}}
+    ends = {"cutoff": {"inertial_speed_mps": 7000.0}, "restart": [last]}
+    flown = fly(load(merged({**TREE, "guidance": ends}, {"run": {"duration_s": 20.0}})), log=False)
+    assert [e.name for e in flown.events if e.name != "apogee"] == ["ignition", "cutoff", "restart", "burnout"]
+    assert flown.event_s("restart") - flown.event_s("cutoff") == pytest.approx(coast_s, abs=3e-9)
+    burned_s = flown.event_s("burnout") - flown.event_s("restart")
+    gained = EXHAUST_mps * math.log(2000.0 / (2000.0 - FLOW_kgps * burned_s))
+    assert gained == pytest.approx(7760.0 - math.sqrt(MU / LOW_m), abs=0.2)  # nearly along the motion
+    assert flown.metrics["cutoff_speed_error_mps"] < 1e-4
+    assert not flown.failures
+
+
+@pytest.mark.slow
 def test_burns_after_a_restart_are_listed_as_not_covered() -> None:
     found = uncovered(load(TREE), {0: [2.0, 23.0]})
     assert found[-1].begin_s == pytest.approx(flight().event_s("cutoff"), abs=1e-9)

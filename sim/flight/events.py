@@ -207,9 +207,11 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
         clock.finished = 1
     if p.computer.burns.count > 0:
         burns = memory.computer.burns
-        if not math.isinf(burns.cut_off_s) and clock.cut_off_ns == 0 and memory.held.burning == 1:
+        burning = memory.held.burning == 1 and burns.coasting == 0
+        if not math.isinf(burns.cut_off_s) and clock.cut_off_ns == 0 and burning:
             clock.cut_off_ns = max(round(1e9 * burns.cut_off_s), now + 1)
-        if not math.isinf(burns.ignite_s) and burns.coasting == 1 and clock.ignite_ns == 0:
+        waits = burns.coasting == 1 and clock.cut_off_ns > 0
+        if not math.isinf(burns.ignite_s) and waits and clock.ignite_ns == 0:
             clock.ignite_ns = max(round(1e9 * burns.ignite_s), now + 1)
         clock.pending_settling_N = burns.settling_N
         for k in range(2):

@@ -419,28 +419,26 @@ class FlightRun:
 
     def _of_cutoff(self, earth: Earth, times_s: dict[str, float]) -> dict[str, float]:
         """Return the metrics of the last cutoff by the guidance, and write their times."""
-        burnout, ends = self.packed.memory["burnout"][0], self.loaded.scenario.guidance.ends
-        burns = self.packed.memory["computer"]["burns"][0]
-        end = ends[int(burns.number) - int(burns.coasting)]
-        at_s = burnout.time_ns / 1e9 if burnout.time_ns >= 0 else math.nan
-        times_s |= dict.fromkeys(CutoffMetrics._fields, at_s)
-        if end is None or math.isnan(at_s):
+        burnout, ends, clock = self.packed.memory["burnout"][0], self.loaded.scenario.guidance.ends, self.clock
+        burning = int(self.packed.memory["held"]["burning"][0])
+        end = ends[max(clock.restarts - burning, 0)] if clock.restarts > 0 or clock.cut_off_ns > 0 else None
+        times_s |= dict.fromkeys(CutoffMetrics._fields, math.nan if end is None else burnout.time_ns / 1e9)
+        if end is None:
             return dict.fromkeys(CutoffMetrics._fields, math.nan)
         return cutoff_metrics(earth, end, tuple(burnout.r_I_m.tolist()), tuple(burnout.v_I_mps.tolist()))._asdict()
 
     def _missed_orbit(self) -> tuple[str, ...]:
         """Return a failure if the last engine burned out before the guidance cut it off."""
-        burns, memory = self.packed.parameters[-1].computer.burns, self.packed.memory
-        burned_out = memory["clock"]["stage_burnout_ns"][0, len(self.packed.parameters) - 1] >= 0
-        if not burned_out or burns.count == 0:
+        clock, ends = self.clock, self.loaded.scenario.guidance.ends
+        burned_out = clock.stage_burnout_ns[len(self.packed.parameters) - 1] >= 0
+        if self.packed.parameters[-1].computer.burns.count == 0 or not burned_out or clock.cut_off_ns > 0:
             return ()
-        state, ends = memory["computer"]["burns"][0], self.loaded.scenario.guidance.ends
-        if state.coasting == 1 or not math.isinf(state.cut_off_s) or ends[int(state.number)] is None:
+        end, which = ends[clock.restarts], f" of burn {clock.restarts + 1}" if len(ends) > 1 else ""
+        if end is None:
             return ()
-        which = f" of burn {int(state.number) + 1}" if burns.count > 1 else ""
-        if isinstance(ends[int(state.number)], Cutoff):
+        if isinstance(end, Cutoff):
             return (f"the engine burned out before the cutoff{which}",)
-        if memory["computer"]["orbit"]["phase"][0] < STEERING:
+        if self.packed.memory["computer"]["orbit"]["phase"][0] < STEERING:
             return (f"closed-loop guidance{which} found no way to the orbit",)
         return (f"the engine burned out before closed-loop guidance{which} reached the orbit",)
 
