@@ -2,8 +2,8 @@
 
 A burn ends at an orbit (orbit_guidance.py), where a quantity reaches its value, or with the propellant. The instant of
 a cutoff by a quantity is extrapolated from its last two samples. In a coast, the commanded attitude turns to the local
-horizontal along the motion, settling thrust begins `settling_s` before the ignition, and a restart may be timed from
-the apogee of the Kepler orbit. The next burn continues in this direction until its own guidance steers.
+horizontal along the motion. Settling thrust begins `settling_s` before the ignition. A restart may be timed from the
+apogee of the Kepler orbit. The next burn continues in this direction until its own guidance steers.
 
 The caller supplies navigated position and velocity (`OrbitGuidanceState`), here the simulator's own.
 """
@@ -38,7 +38,7 @@ SETTLING_s = 3.0  # time from an ignition to constant thrust
 
 
 @dataclass(frozen=True)
-class Burn:
+class GuidedBurn:
     """The parameters of one burn.
 
     - `orbit`: guidance to its orbit; off without one. Its `start_s` counts from the ignition of a restart.
@@ -69,7 +69,7 @@ class Burns:
     turns: int = 0
     earth_rate_radps: float = 0.0
     equator_m: float = 0.0
-    burn: Annotated[tuple[Burn, ...], (MAX_BURNS,)] = (Burn(),) * MAX_BURNS
+    burn: Annotated[tuple[GuidedBurn, ...], (MAX_BURNS,)] = (GuidedBurn(),) * MAX_BURNS
 
 
 @dataclass
@@ -124,7 +124,7 @@ def to_apogee_s(mu_m3ps2: float, r: vec.Vector, v: vec.Vector) -> float:
 
 
 @kernel
-def quantity_of(burns: Burns, burn: Burn, r: vec.Vector, v: vec.Vector) -> float:
+def quantity_of(burns: Burns, burn: GuidedBurn, r: vec.Vector, v: vec.Vector) -> float:
     """Return the quantity of a burn's cutoff. The apogee of an escape is infinite."""
     if burn.quantity == SPEED:
         spin = burns.earth_rate_radps
@@ -171,7 +171,9 @@ def advance_burns(
 
 
 @kernel
-def await_ignition(burn: Burn, state: BurnsState, orbit: OrbitGuidanceState, time_s: float, sample_s: float) -> None:
+def await_ignition(
+    burn: GuidedBurn, state: BurnsState, orbit: OrbitGuidanceState, time_s: float, sample_s: float
+) -> None:
     """Command the next ignition when its time has come, and the settling thrust before it."""
     if not math.isinf(state.ignite_s):
         return
@@ -186,7 +188,7 @@ def await_ignition(burn: Burn, state: BurnsState, orbit: OrbitGuidanceState, tim
 
 @kernel
 def watch_quantity(
-    burns: Burns, burn: Burn, state: BurnsState, orbit: OrbitGuidanceState, time_s: float, sample_s: float
+    burns: Burns, burn: GuidedBurn, state: BurnsState, orbit: OrbitGuidanceState, time_s: float, sample_s: float
 ) -> None:
     """Command the cutoff at the instant at which the quantity reaches its value, if it is within 1.5 samples."""
     if not math.isinf(state.cut_off_s):

@@ -148,7 +148,7 @@ def test_a_rail_turns_with_the_earth() -> None:
 
 
 def test_clearance_and_drift_at_a_tower() -> None:
-    """A side force F at the CG: the tail is F / (T - m g) of its height beside the pad."""
+    """A side force F at the CG: the tail is F / (T - m g) of its height off the pad."""
     side, height, distance = 900.0, 30.0, 4.0
     push = [{"at": "body_force", "axis": "z", "kind": "step", "amplitude_N": side}]
     tower = {"distance_m": distance, "azimuth_deg": 90.0, "height_m": height, "radius_m": 0.4, "vehicle_radius_m": 0.7}

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from maxq.control.burns import QUANTITIES, Burn, Burns, SETTLING_s
+from maxq.control.burns import QUANTITIES, Burns, GuidedBurn, SETTLING_s
 from maxq.control.computer import Computer, build_computer
 from maxq.control.filters import BendingFilter, DiscreteFilter
 from maxq.control.guidance import rate_programme
@@ -195,11 +195,11 @@ def pack_burns(scenario: Scenario, stage: Stage, ignition_ns: int) -> Burns:
         turns=int(len(burns) > 1 and thrusters is not None and thrusters.pitch_yaw_torque_Nm is not None),
         earth_rate_radps=earth.rate_radps,
         equator_m=earth.equatorial_radius_m,
-        burn=(*burns, *[Burn()] * (MAX_BURNS - len(burns))),
+        burn=(*burns, *[GuidedBurn()] * (MAX_BURNS - len(burns))),
     )
 
 
-def _burn(end: OrbitTarget | Cutoff | None, start: Restart, earth: Earth) -> Burn:
+def _burn(end: OrbitTarget | Cutoff | None, start: Restart, earth: Earth) -> GuidedBurn:
     """Return one burn: what it ends at, and its start after a coast."""
     orbit = OrbitGuidance(
         rate_limit_radps=math.radians(COAST_RATE_degps),
@@ -207,7 +207,7 @@ def _burn(end: OrbitTarget | Cutoff | None, start: Restart, earth: Earth) -> Bur
         j2=earth.j2 if earth.gravity == J2 else 0.0,
         j2_radius_m=earth.gravity_radius_m,
     )
-    burn = Burn(
+    burn = GuidedBurn(
         orbit if not isinstance(end, OrbitTarget) else _orbit_guidance(end, orbit, earth),
         coast_s=-1.0 if start.coast_s is None else start.coast_s,
         before_apogee_s=start.before_apogee_s or 0.0,
