@@ -32,6 +32,7 @@ from maxq.control.attitude import (
     turn,
     update_attitude_error,
 )
+from maxq.control.burns import Burns, BurnsState, advance_burns, start_burns
 from maxq.control.converter import Converter, ConverterState, convert, make_converter, round_half_away, start_converter
 from maxq.control.external import HEALTH_ACCELEROMETER, HEALTH_RATE_GYROS, ExternalState, step_external
 from maxq.control.filter_schedule import MovingFilter, freeze_moving, move_filter
@@ -57,13 +58,7 @@ from maxq.control.laws.pd import (
     tick_pd,
 )
 from maxq.control.laws.pid import Pid, PidRow, PidState, pid_row, start_pid, tick_pid
-from maxq.control.orbit_guidance import (
-    OrbitGuidance,
-    OrbitGuidanceState,
-    advance_orbit_guidance,
-    start_orbit_guidance,
-    steer,
-)
+from maxq.control.orbit_guidance import OrbitGuidanceState, start_orbit_guidance
 from maxq.control.roll import Roll, RollState, silence_roll, start_roll, update_roll
 from maxq.control.sensors import Sensors, SensorState, blended_rate, make_sensors, read_sensors, start_sensors
 from maxq.control.structures import GAINS, LAWS, OVER, Attitude, Law, Over
@@ -116,7 +111,7 @@ class Computer:
     relief: load_relief.LoadRelief
     takes_over: int = 0  # 1: the stage has its own law or timing, which starts at the separation
     over: int = 0  # variable of the gain schedule, index into `OVER` of structures.py
-    orbit: OrbitGuidance = field(default_factory=OrbitGuidance)  # closed-loop guidance in the last engine's stages
+    burns: Burns = field(default_factory=Burns)  # cutoffs and restarts of the last engine, in its stages
     adaptive: Adaptive = field(default_factory=Adaptive)
     loops: loop_filters.LoopFilters = field(default_factory=loop_filters.LoopFilters)
 
@@ -145,12 +140,14 @@ class ComputerState:
     command_limited: Annotated[IntArray, (2,)]
     command_rad: Annotated[Array, (2,)]
     roll: RollState
+    turning: Annotated[tuple[RollState, ...], (2,)]  # thrusters in pitch and yaw, which fire in a coast
     allocation: AllocationState
     external: ExternalState
     sensors: SensorState
     relief: load_relief.LoadReliefState
     drift: DriftState
     orbit: OrbitGuidanceState
+    burns: BurnsState
     adaptive: AdaptiveState
     loops: loop_filters.LoopFilterState
     navigation: Annotated[Array, (3,)]
@@ -267,6 +264,9 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
     load_relief.start_load_relief(state.relief)
     start_drift(state.drift)
     start_orbit_guidance(state.orbit)
+    start_burns(state.burns)
+    for k in range(2):
+        start_roll(state.turning[k])
     start_adaptive(computer.adaptive, state.adaptive)
     loop_filters.start_loop_filters(state.loops)
     for gimbal in range(2):
@@ -365,9 +365,8 @@ def computer_tick(
             state.attitude.rate_radps[1 + gimbal] = blended_rate(computer.sensors, state.sensors, gimbal, first_radps)
     if computer.unrolled != 0:
         unroll(state.guidance, sample_s)
-    if computer.orbit.on != 0 and computer.guidance_on != 0:
-        if advance_orbit_guidance(computer.orbit, state.orbit, time_s, sample_s) == 1:
-            follow_orbit_guidance(computer.orbit, state, time_s, sample_s)
+    if computer.burns.count > 0 and computer.guidance_on != 0:
+        follow_burns(computer.burns, state, time_s, sample_s)
     turn(state.guidance.attitude, state.guidance.increment_rad)
     turn(state.attitude.measured, state.converter.increment_rad)
     update_attitude_error(
@@ -395,6 +394,8 @@ def computer_tick(
         update_roll(computer.roll, state.roll, state.attitude.theta_e_rad[0], state.attitude.rate_radps[0])
     else:
         silence_roll(state.roll)
+    if computer.burns.turns != 0:
+        fire_in_coast(computer, state)
     allocate_commands(computer, pool, state, time_s)
     if state.loops.fading > 0:
         state.loops.fading -= 1
@@ -402,13 +403,24 @@ def computer_tick(
 
 
 @routine
-def follow_orbit_guidance(orbit: OrbitGuidance, state: ComputerState, time_s: float, sample_s: float) -> None:
+def follow_burns(burns: Burns, state: ComputerState, time_s: float, sample_s: float) -> None:
     """Turn the commanded attitude: in pitch and yaw by the closed-loop guidance, in roll by the programme."""
     guidance = state.guidance
-    turned_rad = steer(orbit, state.orbit, guidance.attitude.q, time_s, sample_s)
-    for axis in (1, 2):
-        guidance.increment_rad[axis] = turned_rad[axis - 1]
-        guidance.rate_radps[axis] = turned_rad[axis - 1] / sample_s
+    turns, turn_y, turn_z = advance_burns(burns, state.burns, state.orbit, guidance.attitude.q, time_s, sample_s)
+    if turns == 1:
+        guidance.increment_rad[1], guidance.increment_rad[2] = turn_y, turn_z
+        guidance.rate_radps[1], guidance.rate_radps[2] = turn_y / sample_s, turn_z / sample_s
+
+
+@routine
+def fire_in_coast(computer: Computer, state: ComputerState) -> None:
+    """Update the demands on the thrusters in pitch and yaw, by the switching line of roll."""
+    for k in range(2):
+        if state.burns.coasting == 1:
+            error_rad, rate_radps = state.attitude.theta_e_rad[1 + k], state.attitude.rate_radps[1 + k]
+            update_roll(computer.roll, state.turning[k], error_rad, rate_radps - state.guidance.rate_radps[1 + k])
+        else:
+            silence_roll(state.turning[k])
 
 
 @routine

@@ -51,7 +51,7 @@ class OrbitGuidance:
     - `on`: 0 without it.
     - `start_s`: vehicle clock.
     - `rate_limit_radps`: limit of the commanded attitude rate.
-    - `radius_m`, `speed_mps`: targets at cutoff, where the vertical speed is 0.
+    - `radius_m`, `speed_mps`: targets at cutoff, where the vertical speed is 0: at perigee, or at apogee.
     - `semimajor_m`: semi-major axis of the orbit.
     - `cos_inclination`: a magnitude above 1 selects the plane of flight at the start.
     - `exhaust_mps`: effective exhaust speed of the engine that is cut off.
@@ -348,7 +348,22 @@ def steer(
     """
     if state.phase == CUT_OFF:
         return 0.0, 0.0
-    u = direction(state, state.unknowns, time_s)
+    return turn_towards(g, state, direction(state, state.unknowns, time_s), q_BR, sample_s)
+
+
+@kernel
+def level(state: OrbitGuidanceState) -> vec.Vector:
+    """Return the direction of the motion without its vertical part, in I."""
+    r, v = vec.vector_at(state.position_m, 0), vec.vector_at(state.velocity_mps, 0)
+    u = vec.cross(vec.cross(r, v), r)
+    return vec.scaled(1.0 / max(vec.norm(u), 1e-300), u)
+
+
+@kernel
+def turn_towards(
+    g: OrbitGuidance, state: OrbitGuidanceState, u: vec.Vector, q_BR: Array, sample_s: float
+) -> tuple[float, float]:
+    """Return the turn of `q_BR` about its y and z towards the direction `u` (I) in one sample, rad."""
     start = vec.rotation_from_quaternion(
         state.start_q_BI[0], state.start_q_BI[1], state.start_q_BI[2], state.start_q_BI[3]
     )

@@ -60,12 +60,13 @@ def load(tree: Tree) -> LoadedScenario:
 # --- vehicles by their parts
 @dataclass(frozen=True)
 class Tank:
-    """A pendulum with its hinge on the body axis."""
+    """A pendulum; `place_m`: y and z of its hinge from the body axis."""
 
     mass_kg: float
     length_m: float
     hinge_station_m: float
     damping_ratio: float = 0.0
+    place_m: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ def composed(parts: Parts) -> tuple[float, Array, Array]:
     """Mass, CG (station, y, z) and inertia tensor about it of the whole, bobs at rest behind their hinges."""
     masses = [parts.core_mass_kg, *(tank.mass_kg for tank in parts.tanks)]
     places = [np.array([-parts.core_cg[0], parts.core_cg[1], parts.core_cg[2]])]
-    places += [np.array([-(tank.hinge_station_m + tank.length_m), 0.0, 0.0]) for tank in parts.tanks]
+    places += [np.array([-(tank.hinge_station_m + tank.length_m), *tank.place_m]) for tank in parts.tanks]
     total = sum(masses)
     cg = sum(m * r for m, r in zip(masses, places, strict=True)) / total
     inertia = np.array(parts.core_inertia)
@@ -184,6 +185,7 @@ def stage_of(parts: Parts) -> Tree:
                     }
                 ],
                 "damping_ratio": tank.damping_ratio,
+                "position_m": list(tank.place_m),
             }
             for tank in parts.tanks
         ]
@@ -237,7 +239,7 @@ def oracle_vehicle(parts: Parts, damping_1ps: tuple[float, ...] = ()) -> system.
         system.Pendulum(
             tank.mass_kg,
             tank.length_m,
-            np.array([x - tank.hinge_station_m, -y, -z]),
+            np.array([x - tank.hinge_station_m, tank.place_m[0] - y, tank.place_m[1] - z]),
             damping_1ps[k] if damping_1ps else 0.0,
             np.array([mode.phi[at[tank.hinge_station_m]] for mode in parts.pitch]),
             np.array([mode.phi[at[tank.hinge_station_m]] for mode in parts.yaw]),

@@ -149,6 +149,18 @@ def test_tension_at_hinges_that_the_planes_displace_differently(seed: int) -> No
     assert worst(accelerations(made, y), theirs) < 1e-10
 
 
+def test_tanks_off_the_axis_agree_with_lagrange() -> None:
+    rng = np.random.default_rng(200)
+    parts = random_parts(rng)
+    front, rear = parts.tanks
+    tanks = (replace(front, place_m=(0.4, -0.25)), replace(rear, place_m=(-0.3, 0.5)))
+    parts = replace(parts, tanks=tanks)
+    made = rig(scenario_of(parts))
+    y, state = seen(made, random_state(rng, 2))
+    theirs = multibody_sympy.accelerations(oracle_vehicle(parts), state)
+    assert worst(accelerations(made, y), theirs) < 1e-10
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_rigid_body_with_pendulums_and_engine_agrees_with_mujoco(seed: int) -> None:
     rng = np.random.default_rng(10 + seed)

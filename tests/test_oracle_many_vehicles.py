@@ -99,6 +99,19 @@ def test_plants_of_many_are_those_of_each(change: tuple[str, ...]) -> None:
 
 
 @pytest.mark.slow
+def test_sloshing_mass_of_a_tank_off_the_axis_is_taken_out_there() -> None:
+    """Against a vehicle file with this mass. A bob taken out on the axis would change the inertia by 1e-3."""
+    beside = "vehicle.stage.0.tank.0.position_m=[0.5, -0.8]"
+    more = Dispersion(slosh_mass=(1.3, 1.0))
+    found = disperse(maxq.nodes(design_nodes.nominal(beside), [45.0])[0], more).plant
+    heavier = design_nodes.nominal(beside, "vehicle.stage.0.tank.0.mass_factor=1.3")
+    wanted = maxq.nodes(heavier, [45.0])[0].plant
+    for name in "abcd":
+        ours, theirs = getattr(found, name), getattr(wanted, name)
+        assert np.abs(ours - theirs).max() <= 2e-5 * np.abs(theirs).max()
+
+
+@pytest.mark.slow
 def test_margins_are_those_of_each_vehicle_by_itself() -> None:
     """Compare 400 vehicles at four operating points within 0.01 dB and deg."""
     unstable = 0

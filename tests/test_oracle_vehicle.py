@@ -24,6 +24,7 @@ from maxq.sim.input.values import OverTime, at_time
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.scenario.schema_launch import Cutoff, Restart
 from maxq.sim.vehicle.state import R_I, V_I
 from maxq.tools import simvehicle
 from maxq.tools.vehicle import build as building
@@ -79,7 +80,8 @@ def changed(layout: Layout, stage: int, **change: Any) -> Layout:
 @known_path()
 def test_guidance_to_an_orbit_and_an_accelerometer_are_written(layout: Layout, tmp_path: Path) -> None:
     """The specific impulse is the engine's, by impulse over propellant of the last burn."""
-    wanted = layout.trajectory.model_copy(update={"apogee_altitude_m": 500e3})
+    again = Restart(coast_s=1500.0, settling_s=20.0, settling_thrust_N=50.0, cutoff=Cutoff(apogee_altitude_m=1e6))
+    wanted = layout.trajectory.model_copy(update={"apogee_altitude_m": 500e3, "restart": (again,)})
     control = layout.control.model_copy(update={"accelerometer_station_m": 3.4})
     made = build(layout.model_copy(update={"trajectory": wanted, "control": control}))
     write(made, tmp_path)
@@ -89,6 +91,12 @@ def test_guidance_to_an_orbit_and_an_accelerometer_are_written(layout: Layout, t
     assert (orbit.perigee_altitude_m, orbit.apogee_altitude_m) == (250e3, 500e3)
     assert orbit.isp_s == pytest.approx(layout.stage[-1].engine.isp_vacuum_s, rel=1e-3)
     assert [s.accelerometer.station_m for s in loaded.vehicle.stage if s.accelerometer] == [3.4] * 3
+    assert loaded.scenario.guidance.restart == (again,)
+    assert loaded.scenario.run.duration_s > made.flight.points[-1].time_s + 1500.0
+    turns = [s.roll_thrusters.pitch_yaw_torque_Nm for s in loaded.vehicle.stage if s.roll_thrusters]
+    full = made.stacks[-1].mass_properties(0.0).pitch_kgm2  # the part without the fairing begins with its burn
+    assert turns[0] is None
+    assert turns[-1] == pytest.approx(math.radians(0.5) * full, rel=1e-9)
     far = wanted.model_copy(update={"apogee_altitude_m": 1e7})
     with pytest.raises(ScenarioError, match="exceeds the altitude that all propellant reaches"):
         write(build(layout.model_copy(update={"trajectory": far})), tmp_path)

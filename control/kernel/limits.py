@@ -18,3 +18,4 @@ MAX_INJECTIONS = 16
 MAX_FAULTS = 16
 MAX_FAULT_WRITES = 6 * MAX_FAULTS  # two on each of three axes
 MAX_TONES = 64  # of a multisine
+MAX_BURNS = 4  # of the last engine

@@ -195,12 +195,14 @@ def _deviate_masses(
         return
     p, row = held.properties, held.parameters[0]
     columns = np.array([schedule.tank_column(k) for k in range(slosh_mass.shape[1])], int)
+    slosh, n = row.vehicle.slosh, len(columns)
+    places = list(zip(slosh.place_y_m[:n].tolist(), slosh.place_z_m[:n].tolist(), strict=True))
     tank = np.stack([slosh_mass, frequency**-2.0, np.ones_like(slosh_mass)], axis=-1)  # of mass, length, hinge
 
     def deviated_at(rows: Array) -> tuple[Array, Array]:
         """Return the core (vehicles, 10) and the bobs (tanks, vehicles, 3) of rows of the schedule."""
         bobs = [rows[:, c + schedule.TANK_MASS : c + schedule.TANK_HINGE + 1] for c in columns]
-        total = without_bobs(rows[:, : schedule.CG_RATE], [bob * (-1.0, 1.0, 1.0) for bob in bobs])  # put back
+        total = without_bobs(rows[:, : schedule.CG_RATE], [bob * (-1.0, 1.0, 1.0) for bob in bobs], places)  # put back
         total[:, 0] = total[:, 0] * mass + mass_kg
         total[:, 1:4] += moved_m
         total[:, 4:7] *= inertia
@@ -208,7 +210,7 @@ def _deviate_masses(
         sloshing = sum((bob[:, 0] for bob in bobs), np.zeros(len(total)))
         if (total[:, 0] - sloshing).min() <= 0.0:
             raise ValueError(f"sloshing masses of {sloshing.max():g} kg in a vehicle of {total[:, 0].max():g} kg")
-        core = without_bobs(total, bobs)
+        core = without_bobs(total, bobs, places)
         if core[:, 4:7].min() <= 0.0:
             least = total[:, 4:7].min()
             raise ValueError(f"bobs of {least - core[:, 4:7].min():g} kg m2 in a vehicle of {least:g} kg m2")

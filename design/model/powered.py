@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, TUMBLE
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.flight import Event
-from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, IGNITION_NAME, FlightRun
+from maxq.sim.run.fly import CONTROL_LOST_NAME, CUTOFF_NAME, DIVERGED_NAME, IGNITION_NAME, FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
 
 
@@ -91,8 +91,9 @@ def spans_of(events: Iterable[Event], stages: int, now_s: float) -> tuple[Span, 
     for n in range(stages):
         mine = [e for e in found if e.stage == (n + 1 if stages > 1 else 0)]
         begin_s = next((e.time_s for e in mine if e.name == IGNITION_NAME), end_s if burns_on else math.inf)
-        end_s = min([now_s, *(e.time_s for e in mine if e.name in ("burnout", "separation"))])
-        burns_on = math.isfinite(begin_s) and all(e.name != "burnout" for e in mine)  # the stage after it continues
+        end_s = min([now_s, *(e.time_s for e in mine if e.name in ("burnout", "separation", CUTOFF_NAME))])
+        ended = any(e.name in ("burnout", CUTOFF_NAME) for e in mine)
+        burns_on = math.isfinite(begin_s) and not ended  # the stage after it continues
         if max(begin_s, lift_off_s) < end_s:
             out.append(Span(n, max(begin_s, lift_off_s), end_s))
     return tuple(out)

@@ -32,6 +32,8 @@ MOST_INSTANTS = 300  # of a coast
 GROWS = 2.0  # least growth factor of a disturbance in a coast that is listed
 TAIL_INSTANTS = 41  # of a long tail-off
 TAIL_OFF = "tail-off, with less than"
+RESTARTED = "burns after a restart, no operating point"
+ENDS = ("apogee", "impact")  # events after which a coast is not examined
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,9 @@ def uncovered(
         found += _of_span(span, mine, full_end_s, share)
         if span.stage in at_points_only and len(mine) > 1:
             found.append(Uncovered(span.stage, mine[0], mine[-1], BETWEEN))
+    if flight.scenario.guidance.restart and spans and loss is None:
+        run = flight.scenario.run
+        found.append(Uncovered(spans[-1].stage, spans[-1].end_s, run.start_s + run.duration_s, RESTARTED))
     if loss is None:
         found = _with_authority(flight, found, plane)
         found += _unstable_coasts(flight, spans, plane)

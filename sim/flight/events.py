@@ -15,9 +15,9 @@ from maxq.control.kernel.jit import kernel, routine, routine_beside
 from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.noise import standard_normal, uniform_pair
 from maxq.control.kernel.records import Array
-from maxq.control.orbit_guidance import CUT_OFF
 from maxq.sim.flight.faults import switch_faults
 from maxq.sim.flight.injection import GIMBAL_COMMAND, RATE_COMMAND, next_switch, replaced, total_signal
+from maxq.sim.flight.launch import RAIL_EXIT, lift_off, rail_surplus
 from maxq.sim.flight.parameters import (
     APOGEE,
     BURNOUT,
@@ -57,13 +57,35 @@ def record_event(p: Parameters, memory: Memory, event: int, now_ns: int) -> None
 
 
 @routine
-def burn_out(p: Parameters, memory: Memory) -> None:
-    """End the thrust of a stage now."""
-    clock = memory.clock
+def burn_out(p: Parameters, memory: Memory, y: Array) -> None:
+    """End the thrust of a stage now. It is a burnout unless the guidance has cut it off before a restart."""
+    clock, burnout = memory.clock, memory.burnout
     memory.held.burning = 0
     clock.stage_burnout_ns[clock.stage] = clock.now_ns
+    burnout.time_ns = clock.now_ns
+    vec.set_vector(burnout.r_I_m, 0, vec.vector_at(y, R_I))
+    vec.set_vector(burnout.v_I_mps, 0, vec.vector_at(y, V_I))
+    if clock.cut_off_ns > 0 and memory.computer.burns.number + 1 < p.computer.burns.count:
+        return
     clock.event_ns[BURNOUT] = -1  # the last stage's burnout counts
     record_event(p, memory, BURNOUT, clock.now_ns)
+
+
+@kernel
+def restart(memory: Memory) -> None:
+    """Ignite the last engine again now. Its schedule continues where the cutoff stopped it."""
+    clock, n = memory.clock, memory.clock.restarts
+    clock.restart_ns[n], clock.restart_cut_off_ns[n], clock.restart_stage[n] = (
+        clock.now_ns,
+        clock.cut_off_ns,
+        clock.stage,
+    )
+    clock.restarts += 1
+    clock.idle_ns += clock.now_ns - clock.cut_off_ns
+    clock.cut_off_ns, clock.ignite_ns = 0, 0
+    clock.stage_burnout_ns[clock.stage] = -1
+    clock.fresh, clock.next_break_ns = 1, clock.now_ns
+    memory.held.burning = 1
 
 
 @routine
@@ -71,17 +93,19 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
     """Process all events that are due now, and return 1 if the engine has been ignited or cut off."""
     clock, held = memory.clock, memory.held
     now = clock.now_ns
+    if 0 < clock.ignite_ns <= now:
+        restart(memory)
     advance_schedule(p, pool, memory)
     changed = 0
-    cut_off = 0 < clock.cut_off_ns <= now
-    if held.burning == 0 and p.timeline.burn_start_ns <= now < p.timeline.burnout_ns and not cut_off:
+    cut_off, burnout_ns = 0 < clock.cut_off_ns <= now, p.timeline.burnout_ns + clock.idle_ns
+    if held.burning == 0 and p.timeline.burn_start_ns <= now < burnout_ns and not cut_off:
         held.burning = 1
         changed = 1
-    if held.burning == 1 and (now >= p.timeline.burnout_ns or cut_off):
-        burn_out(p, memory)
+    if held.burning == 1 and (now >= burnout_ns or cut_off):
+        burn_out(p, memory, y)
         changed = 1
     if held.on_pad == 1 and now >= p.timeline.release_ns:
-        held.on_pad = 0
+        lift_off(p.launch, memory.launch, held, y)
         record_event(p, memory, LIFTOFF, now)
     if now >= memory.faults.next_ns:
         liftoff_ns = clock.event_ns[LIFTOFF]
@@ -120,6 +144,10 @@ def apply_due_command(p: Parameters, memory: Memory) -> None:
                 clock.pending_rad[channel] = 0.0
             held.command_rad[channel] = clock.pending_rad[channel]
         held.roll_torque_Nm = p.vehicle.roll_torque_Nm * clock.pending_roll
+        if p.computer.burns.count > 1:
+            held.settling_N = clock.pending_settling_N
+            held.turn_torque_Nm[0] = p.vehicle.turn_torque_Nm * clock.pending_turn[0]
+            held.turn_torque_Nm[1] = p.vehicle.turn_torque_Nm * clock.pending_turn[1]
         clock.command_due_ns = NEVER
 
 
@@ -156,7 +184,7 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
         memory.gimbal_replaces[gimbal] = replaced(p.injections, GIMBAL_COMMAND, gimbal + 1, now)
     if p.vehicle.sizes.sensors > 0:
         sample_sensors(p, memory, y)
-    if p.computer.orbit.on == 1:
+    if p.computer.burns.count > 0:
         orbit = memory.computer.orbit
         vec.set_vector(orbit.position_m, 0, vec.vector_at(y, R_I))
         vec.set_vector(orbit.velocity_mps, 0, vec.vector_at(y, V_I))
@@ -177,8 +205,17 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
     )
     if memory.computer.external.fault != 0:
         clock.finished = 1
-    if memory.computer.orbit.phase == CUT_OFF and clock.cut_off_ns == 0 and memory.held.burning == 1:
-        clock.cut_off_ns = max(round(1e9 * memory.computer.orbit.cut_off_s), now + 1)
+    if p.computer.burns.count > 0:
+        burns = memory.computer.burns
+        burning = memory.held.burning == 1 and burns.coasting == 0
+        if not math.isinf(burns.cut_off_s) and clock.cut_off_ns == 0 and burning:
+            clock.cut_off_ns = max(round(1e9 * burns.cut_off_s), now + 1)
+        waits = burns.coasting == 1 and clock.cut_off_ns > 0
+        if not math.isinf(burns.ignite_s) and waits and clock.ignite_ns == 0:
+            clock.ignite_ns = max(round(1e9 * burns.ignite_s), now + 1)
+        clock.pending_settling_N = burns.settling_N
+        for k in range(2):
+            clock.pending_turn[k] = memory.computer.turning[k].demand
     start, commanded = memory.truth.start_q_BI, memory.computer.guidance.attitude.q
     wanted = vec.quaternion_product(vec.quaternion_at(start, 0), vec.quaternion_at(commanded, 0))
     turned = vec.quaternion_product(vec.conjugate(wanted), vec.quaternion_at(y, Q_BI))
@@ -233,10 +270,11 @@ def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> in
         clock.next_sample_ns,
         clock.command_due_ns,
         clock.cut_off_ns,
+        clock.ignite_ns,
         clock.next_gust_ns,
         memory.faults.next_ns,
         timeline.burn_start_ns,
-        timeline.burnout_ns,
+        timeline.burnout_ns + clock.idle_ns,
         timeline.separation_ns,
         timeline.release_ns,
         timeline.stop_ns,
@@ -263,7 +301,7 @@ def advance_schedule(p: Parameters, pool: Array, memory: Memory) -> None:
         return
     while p.timeline.frozen == 0 and clock.interval < schedule.n_breaks - 2:
         table_s = pool[schedule.offset + clock.interval + 1] / p.timeline.burn_rate
-        at: int = p.timeline.stage_start_ns + round(1e9 * table_s)
+        at: int = p.timeline.stage_start_ns + clock.idle_ns + round(1e9 * table_s)
         if at > clock.now_ns:
             clock.next_break_ns = at
             return
@@ -271,8 +309,10 @@ def advance_schedule(p: Parameters, pool: Array, memory: Memory) -> None:
 
 
 @routine
-def event_function(p: Parameters, event: int, y: Array, properties: Array, aux: Aux) -> float:
+def event_function(p: Parameters, memory: Memory, event: int, y: Array, properties: Array, aux: Aux) -> float:
     """Return a number that becomes positive when `event` happens; `aux` is that of the start of the step."""
+    if event == RAIL_EXIT:
+        return rail_surplus(p.launch, memory.launch, y)
     if event == LIFTOFF:
         thrust_N = total_thrust(p.vehicle.engine, counts(p.vehicle.sizes), properties, aux.air.pressure_Pa)
         surplus_N: float = thrust_N - properties[TOTAL_MASS] * aux.axial_load_mps2

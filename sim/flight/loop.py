@@ -9,6 +9,7 @@ from maxq.control.kernel.jit import bare_pointer, entry, kernel, routine, routin
 from maxq.control.kernel.records import Array, IntArray, Records
 from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight import events, step
+from maxq.sim.flight.launch import RAIL_EXIT, leave_rail, lift_off, start_launch
 from maxq.sim.flight.metric_table import N_METRICS
 from maxq.sim.flight.metrics import gather
 from maxq.sim.flight.parameters import APOGEE, DIVERGED, IMPACT, LIFTOFF, N_EVENTS, NEVER, Memory, Parameters
@@ -53,6 +54,8 @@ def begin(P: Records, pool: Array, state: Records, y: Array) -> None:
     for pendulum in range(len(memory.waves.largest)):
         memory.waves.largest[pendulum] = 0.0
         memory.waves.largest_ns[pendulum], memory.waves.broke_ns[pendulum] = -1, -1
+    memory.burnout.time_ns = -1
+    start_launch(memory.launch)
     clock.command_due_ns = NEVER
     clock.next_gust_ns = clock.now_ns if p.environment.turbulence.on == 1 else NEVER
     altitude_m, along_N = climb_rate(p.environment.earth, y)[0], flight_direction(p.environment, pool, y)
@@ -73,7 +76,7 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
     clock.interval = find_interval(pool, p.vehicle.schedule, step.schedule_clock(p, memory.clock, now, 0.0))
     clock.fresh, clock.next_break_ns = 1, now
     memory.faults.next_ns = now if p.faults.count > 0 else NEVER
-    memory.held.burning = 1 if p.timeline.burn_start_ns <= now < p.timeline.burnout_ns else 0
+    memory.held.burning = 1 if p.timeline.burn_start_ns <= now < p.timeline.burnout_ns + clock.idle_ns else 0
 
 
 @entry
@@ -147,8 +150,8 @@ def fly_step(
     evaluate_exactly(p, pool, memory, space)
     events.detect_loss_of_control(p, memory, now_at.aux)
     if memory.held.on_pad == 1 and p.timeline.release_ns == NEVER:
-        if events.event_function(p, LIFTOFF, now_at.y, now_at.properties, now_at.aux) >= 0.0:
-            apply_event(p, memory, LIFTOFF)
+        if events.event_function(p, memory, LIFTOFF, now_at.y, now_at.properties, now_at.aux) >= 0.0:
+            apply_event(p, memory, now_at.y, LIFTOFF)
             return
     if p.loads.stations > 0:
         track_sections(p, pool, memory, space, logged.on, 0)
@@ -180,7 +183,7 @@ def fly_step(
     clock.now_ns = now + step_ns
     clock.steps += 1
     if event >= 0:
-        apply_event(p, memory, event)
+        apply_event(p, memory, now_at.y, event)
     if clock.now_ns >= p.timeline.stop_ns:
         clock.finished = 1
 
@@ -219,9 +222,9 @@ def separate(
     """Separate the stage that has burned out and continue with the next. `whole`: buffer for a state."""
     clock = memory.clock
     before, after = P[clock.stage], P[clock.stage + 1]
-    ends = after.timeline.continues == 0 and clock.now_ns >= before.timeline.burnout_ns
+    ends = after.timeline.continues == 0 and clock.now_ns >= before.timeline.burnout_ns + clock.idle_ns
     if memory.held.burning == 1 and ends:
-        events.burn_out(before, memory)  # at the same instant, and first
+        events.burn_out(before, memory, y)  # at the same instant, and first
         if clock.finished == 1:
             return
     step.read_schedule(before, pool, memory, clock.now_ns, 0.0, properties)
@@ -244,27 +247,35 @@ def detect_crossing(p: Parameters, memory: Memory, space: step.Workspace) -> int
     """Return the event that the step has passed, or -1."""
     clock, aux, y, properties = memory.clock, space.start.aux, space.y_end, space.end.properties
     if memory.held.on_pad == 1:
-        if p.timeline.release_ns == NEVER and events.event_function(p, LIFTOFF, y, properties, aux) >= 0.0:
+        if p.timeline.release_ns == NEVER and events.event_function(p, memory, LIFTOFF, y, properties, aux) >= 0.0:
             return LIFTOFF
         return -1
+    if memory.held.on_rail == 1:
+        return RAIL_EXIT if events.event_function(p, memory, RAIL_EXIT, y, properties, aux) >= 0.0 else -1
     if clock.climbing == 1:
-        if not climbs_certainly(p.environment.earth, y) and events.event_function(p, APOGEE, y, properties, aux) >= 0.0:
+        if (
+            not climbs_certainly(p.environment.earth, y)
+            and events.event_function(p, memory, APOGEE, y, properties, aux) >= 0.0
+        ):
             return APOGEE
         return -1
     # a vehicle that has just left a pad on the ground has not come down
     above = aux.air.altitude_m > p.timeline.ground_altitude_m + 1e-3
-    if above and events.event_function(p, IMPACT, y, properties, aux) >= 0.0:
+    if above and events.event_function(p, memory, IMPACT, y, properties, aux) >= 0.0:
         return IMPACT
-    if events.event_function(p, APOGEE, y, properties, aux) < 0.0:
+    if events.event_function(p, memory, APOGEE, y, properties, aux) < 0.0:
         clock.climbing = 1
     return -1
 
 
 @kernel
-def apply_event(p: Parameters, memory: Memory, event: int) -> None:
-    """Apply the effects of liftoff, apogee or impact at the current instant."""
+def apply_event(p: Parameters, memory: Memory, y: Array, event: int) -> None:
+    """Apply the effects of liftoff, the end of the rail, apogee or impact at the current instant."""
+    if event == RAIL_EXIT:
+        leave_rail(p.environment.earth, memory.launch, memory.held, y, memory.clock.now_ns)
+        return
     if event == LIFTOFF:
-        memory.held.on_pad = 0
+        lift_off(p.launch, memory.launch, memory.held, y)
     if event == APOGEE:
         memory.clock.climbing = 0
     events.record_event(p, memory, event, memory.clock.now_ns)
@@ -278,7 +289,7 @@ def locate_event(p: Parameters, pool: Array, memory: Memory, event: int, step_ns
     """
     now = memory.clock.now_ns
     low, high = 0, step_ns
-    at_low, at_high = 0.0, events.event_function(p, event, space.y_end, space.end.properties, space.start.aux)
+    at_low, at_high = 0.0, events.event_function(p, memory, event, space.y_end, space.end.properties, space.start.aux)
     best = high
     halve = 1
     while high - low > 1:
@@ -288,7 +299,7 @@ def locate_event(p: Parameters, pool: Array, memory: Memory, event: int, step_ns
             trial = min(max(trial, low + 1), high - 1)
         halve = 1 - halve
         step.take_step(p, pool, memory, now, trial, space)
-        value = events.event_function(p, event, space.y_end, space.end.properties, space.start.aux)
+        value = events.event_function(p, memory, event, space.y_end, space.end.properties, space.start.aux)
         best = trial
         if value >= 0.0:
             high, at_high = trial, value

@@ -97,6 +97,27 @@ class StepMetrics(NamedTuple):
     step_error_position_m: Annotated[float, "m", "the same for the position"]
 
 
+class LaunchMetrics(NamedTuple):
+    """The metrics of the launch; nan without tower and rail."""
+
+    min_tower_clearance_m: Annotated[float, "m", "least distance of the vehicle to the tower; negative: contact"]
+    max_tower_drift_m: Annotated[
+        float, "m", "largest horizontal displacement of the nozzle exit plane until it has passed the top of the tower"
+    ]
+    rail_exit_speed_mps: Annotated[float, "m/s", "speed relative to the Earth at the end of the rail"]
+
+
+class CutoffMetrics(NamedTuple):
+    """The state at the last cutoff by the guidance, and its errors; nan without such guidance."""
+
+    cutoff_altitude_m: Annotated[float, "m", "altitude above the equatorial radius at the last cutoff"]
+    cutoff_speed_mps: Annotated[float, "m/s", "speed relative to the Earth at the last cutoff"]
+    cutoff_inertial_speed_mps: Annotated[float, "m/s", "inertial speed at the last cutoff"]
+    cutoff_speed_error_mps: Annotated[float, "m/s", "error of the speed that the last cutoff aimed at, absolute"]
+    cutoff_apogee_error_m: Annotated[float, "m", "error of the apogee that the last cutoff aimed at, absolute"]
+    cutoff_perigee_error_m: Annotated[float, "m", "the same for the perigee"]
+
+
 class OrbitMetrics(NamedTuple):
     """The osculating Kepler orbit at the flight's end; nan without gravitation towards a centre."""
 
@@ -112,7 +133,16 @@ class OrbitMetrics(NamedTuple):
 
 METRICS = {
     metric.name: metric
-    for kind in (MetricIndex, SectionMetrics, EndMetrics, WaveMetrics, StepMetrics, OrbitMetrics)
+    for kind in (
+        MetricIndex,
+        SectionMetrics,
+        EndMetrics,
+        WaveMetrics,
+        StepMetrics,
+        LaunchMetrics,
+        CutoffMetrics,
+        OrbitMetrics,
+    )
     for metric in declared_channels(kind)
 }
 METRIC_NAMES = tuple(METRICS)

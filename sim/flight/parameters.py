@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from maxq.control.computer import Computer, ComputerState
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS, MAX_STAGES
+from maxq.control.kernel.limits import MAX_BURNS, MAX_ENGINES, MAX_PENDULUMS, MAX_STAGES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.faults import FaultMemory, Faults
 from maxq.sim.flight.injection import Injections
+from maxq.sim.flight.launch import Launch, LaunchMemory
 from maxq.sim.flight.metric_table import N_METRICS
 from maxq.sim.vehicle.derivative import Held, StageInputs, StageRecord
 from maxq.sim.vehicle.environment import Environment
@@ -65,6 +66,7 @@ class Parameters:
     loads: Loads
     environment: Environment
     computer: Computer
+    launch: Launch
     injections: Injections
     faults: Faults
     timeline: StageTimeline
@@ -86,8 +88,12 @@ class Clock:
     next_sample_ns: int
     command_due_ns: int  # when the pending command takes effect
     cut_off_ns: int  # engine cutoff by the guidance, after which the schedule is stopped; 0: never
+    ignite_ns: int  # restart by the guidance; 0: never
+    idle_ns: int  # time between cutoffs and restarts so far, in which the schedule stood still
     pending_rad: Annotated[Array, (2 * MAX_ENGINES,)]
     pending_roll: int
+    pending_turn: Annotated[IntArray, (2,)]  # of the thrusters in pitch and yaw
+    pending_settling_N: float
     next_gust_ns: int
     samples: int  # of the gyro, for its noise
     next_errors_ns: int  # when the errors of a step are estimated next
@@ -95,6 +101,10 @@ class Clock:
     event_ns: Annotated[IntArray, (N_EVENTS,)]  # -1: has not happened
     stage_burnout_ns: Annotated[IntArray, (MAX_STAGES,)]
     stage_separation_ns: Annotated[IntArray, (MAX_STAGES,)]
+    restarts: int
+    restart_ns: Annotated[IntArray, (MAX_BURNS,)]  # of the last engine
+    restart_cut_off_ns: Annotated[IntArray, (MAX_BURNS,)]  # the cutoff before each restart
+    restart_stage: Annotated[IntArray, (MAX_BURNS,)]
 
 
 @dataclass
@@ -130,6 +140,15 @@ class Truth:
     error_rad: Annotated[Array, (3,)]
 
 
+@dataclass
+class Burnout:
+    """The last burnout or cutoff: its time (-1: none), position and velocity in I."""
+
+    time_ns: int
+    r_I_m: Annotated[Array, (3,)]
+    v_I_mps: Annotated[Array, (3,)]
+
+
 ERRORS_SQUARED = 5
 
 
@@ -143,6 +162,8 @@ class Memory:
     faults: FaultMemory
     computer: ComputerState
     truth: Truth
+    launch: LaunchMemory
+    burnout: Burnout
     gusts: TurbulenceState
     history: GustHistory
     extremes: Extremes

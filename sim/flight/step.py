@@ -89,7 +89,7 @@ def schedule_clock(p: Parameters, clock: Clock, now_ns: int, elapsed_s: float) -
         now_ns, elapsed_s = clock.cut_off_ns, 0.0
     if p.timeline.frozen == 1:
         return p.timeline.frozen_s
-    return p.timeline.burn_rate * (1e-9 * (now_ns - p.timeline.stage_start_ns) + elapsed_s)
+    return p.timeline.burn_rate * (1e-9 * (now_ns - p.timeline.stage_start_ns - clock.idle_ns) + elapsed_s)
 
 
 @disjoint_routine

@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from maxq.control.burns import QUANTITIES, Burns, GuidedBurn, SETTLING_s
 from maxq.control.computer import Computer, build_computer
 from maxq.control.filter_schedule import FilterSchedule, MovingFilter, make_moving_filter
 from maxq.control.filters import DiscreteFilter
 from maxq.control.guidance import rate_programme
-from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
+from maxq.control.kernel.limits import MAX_BURNS, MAX_INJECTIONS, MAX_TONES
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit
 from maxq.control.laws.adaptive import Adaptive, make_adaptive
 from maxq.control.laws.pd import GainSchedule, gains_table
@@ -29,10 +30,12 @@ from maxq.sim.input.values import to_ns
 from maxq.sim.packing.environment import pack_earth
 from maxq.sim.packing.integration import LONGEST_S
 from maxq.sim.scenario.schema_design import AdaptiveSection, Design, FilterSection, GainsSection
+from maxq.sim.scenario.schema_launch import Cutoff, OrbitTarget, Restart
 from maxq.sim.scenario.schema_scenario import Scenario
-from maxq.sim.world.earth import J2, STANDARD_GRAVITY_mps2
+from maxq.sim.scenario.schema_vehicle import Stage
+from maxq.sim.world.earth import J2, Earth, STANDARD_GRAVITY_mps2
 
-SETTLING_s = 3.0  # time from ignition to constant thrust
+COAST_RATE_degps = 3.0  # limit of the commanded attitude rate without closed-loop guidance
 _WHERE = {
     "gimbal_command": signals.GIMBAL_COMMAND,
     "rate_command": signals.RATE_COMMAND,
@@ -183,26 +186,63 @@ def _programme(table: CsvTable | None, method: Method) -> Cubics | None:
     return rate_programme(table["time_s"], pitch, yaw, roll, method)
 
 
-def pack_orbit_guidance(scenario: Scenario, ignition_ns: int) -> OrbitGuidance:
-    """Return the guidance of the stages of the last engine, which is ignited at this time of flight."""
-    target, earth = scenario.guidance.orbit, pack_earth(scenario.earth)
-    if target is None or ignition_ns >= NEVER:
-        return OrbitGuidance()
-    perigee_m, apogee_m = (earth.equatorial_radius_m + a for a in (target.perigee_altitude_m, target.apogee_altitude_m))
-    semimajor_m, inclination_deg = 0.5 * (perigee_m + apogee_m), target.inclination_deg
-    return OrbitGuidance(
-        on=1,
-        start_s=max(ignition_ns / 1e9 + SETTLING_s, target.start_s),
-        cycle_s=target.cycle_s,
-        rate_limit_radps=math.radians(target.rate_limit_degps),
-        radius_m=perigee_m,
-        speed_mps=math.sqrt(earth.mu_m3ps2 * (2.0 / perigee_m - 1.0 / semimajor_m)),
-        semimajor_m=semimajor_m,
-        cos_inclination=2.0 if inclination_deg is None else math.cos(math.radians(inclination_deg)),
-        exhaust_mps=target.isp_s * STANDARD_GRAVITY_mps2,
+def pack_burns(scenario: Scenario, stage: Stage, ignition_ns: int) -> Burns:
+    """Return the burns of the last engine, which is first ignited at this time of flight."""
+    guidance, earth = scenario.guidance, pack_earth(scenario.earth)
+    if not any(guidance.ends) or ignition_ns >= NEVER:
+        return Burns()
+    starts = (Restart.model_construct(), *guidance.restart)
+    burns = [_burn(end, start, earth) for end, start in zip(guidance.ends, starts, strict=True)]
+    first = burns[0].orbit
+    burns[0] = replace(burns[0], orbit=replace(first, start_s=max(ignition_ns / 1e9 + SETTLING_s, first.start_s)))
+    thrusters = stage.roll_thrusters
+    return Burns(
+        count=len(burns),
+        start_s=ignition_ns / 1e9,
+        turns=int(len(burns) > 1 and thrusters is not None and thrusters.pitch_yaw_torque_Nm is not None),
+        earth_rate_radps=earth.rate_radps,
+        equator_m=earth.equatorial_radius_m,
+        burn=(*burns, *[GuidedBurn()] * (MAX_BURNS - len(burns))),
+    )
+
+
+def _burn(end: OrbitTarget | Cutoff | None, start: Restart, earth: Earth) -> GuidedBurn:
+    """Return one burn: what it ends at, and its start after a coast."""
+    orbit = OrbitGuidance(
+        rate_limit_radps=math.radians(COAST_RATE_degps),
         mu_m3ps2=earth.mu_m3ps2,
         j2=earth.j2 if earth.gravity == J2 else 0.0,
         j2_radius_m=earth.gravity_radius_m,
+    )
+    burn = GuidedBurn(
+        orbit if not isinstance(end, OrbitTarget) else _orbit_guidance(end, orbit, earth),
+        coast_s=-1.0 if start.coast_s is None else start.coast_s,
+        before_apogee_s=start.before_apogee_s or 0.0,
+        settling_s=start.settling_s,
+        settling_N=start.settling_thrust_N,
+    )
+    if not isinstance(end, Cutoff):
+        return burn
+    assert end.wanted is not None
+    name, value = end.wanted
+    return replace(burn, quantity=QUANTITIES.index(name), wanted=value)
+
+
+def _orbit_guidance(target: OrbitTarget, orbit: OrbitGuidance, earth: Earth) -> OrbitGuidance:
+    perigee_m, apogee_m = (earth.equatorial_radius_m + a for a in (target.perigee_altitude_m, target.apogee_altitude_m))
+    semimajor_m, inclination_deg = 0.5 * (perigee_m + apogee_m), target.inclination_deg
+    radius_m = perigee_m if target.cutoff_at == "perigee" else apogee_m
+    return replace(
+        orbit,
+        on=1,
+        start_s=target.start_s or SETTLING_s,
+        cycle_s=target.cycle_s,
+        rate_limit_radps=math.radians(target.rate_limit_degps),
+        radius_m=radius_m,
+        speed_mps=math.sqrt(earth.mu_m3ps2 * (2.0 / radius_m - 1.0 / semimajor_m)),
+        semimajor_m=semimajor_m,
+        cos_inclination=2.0 if inclination_deg is None else math.cos(math.radians(inclination_deg)),
+        exhaust_mps=target.isp_s * STANDARD_GRAVITY_mps2,
     )
 
 

@@ -11,17 +11,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from maxq.control.burns import Burns
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, blank, pack, with_constants
 from maxq.control.kernel.tables import Pool
-from maxq.control.orbit_guidance import OrbitGuidance
 from maxq.sim.flight.parameters import DROPS, EVENT_NAMES, NEVER, NONE, Memory, Parameters, StageTimeline
 from maxq.sim.input.values import NS_PER_S, period_ns, to_ns
-from maxq.sim.packing.computer import pack_computers, pack_injections, pack_orbit_guidance
+from maxq.sim.packing.computer import pack_burns, pack_computers, pack_injections
 from maxq.sim.packing.environment import pack_environment
 from maxq.sim.packing.faults import pack_faults
 from maxq.sim.packing.initial import initial_motion, thrust_exceeds_weight_s
 from maxq.sim.packing.integration import step_ns
+from maxq.sim.packing.launch import pack_launch
 from maxq.sim.packing.schedule import mass_at, stage_sizes, vehicle_schedule
 from maxq.sim.packing.separation import modal_transfer, part_at
 from maxq.sim.packing.vehicle import pack_vehicle
@@ -90,9 +91,10 @@ def pack_flight(scenario: Scenario) -> Packed:
         if not stage.continues:
             ignition_ns = timeline.burn_start_ns
         guided = all(later.continues for later in stages[n + 1 :]) and not frozen
-        orbit = pack_orbit_guidance(scenario, ignition_ns) if guided else OrbitGuidance()
-        flies = replace(computers[n], allocation=pack_allocation(scenario, stage, burn, pool), orbit=orbit)
-        rows.append(Parameters(vehicle, loads, environment, flies, injections, faults, timeline))
+        last = pack_burns(scenario, stage, ignition_ns) if guided else Burns()
+        flies = replace(computers[n], allocation=pack_allocation(scenario, stage, burn, pool), burns=last)
+        launch = pack_launch(scenario, stage)
+        rows.append(Parameters(vehicle, loads, environment, flies, launch, injections, faults, timeline))
     parameters = pack(rows)
     y = np.zeros(MAX_STATE)
     initial_motion(scenario, y)

@@ -15,6 +15,7 @@ from maxq.sim.input.remembered import cached_by_identity
 from maxq.sim.input.values import NS_PER_S
 from maxq.sim.packing.environment import pack_earth
 from maxq.sim.scenario import schema_environment as schema
+from maxq.sim.scenario.schema_launch import Rail
 from maxq.sim.scenario.schema_scenario import Initial, Scenario
 from maxq.sim.vehicle.engine.kernel import total_thrust
 from maxq.sim.vehicle.environment import AirData, Anchor, Environment, air_data, pad_acceleration
@@ -31,7 +32,7 @@ local_frame, ned_axes = from_python(kernels.local_frame), from_python(kernels.ne
 def initial_motion(scenario: Scenario, y: Array) -> None:
     """Fill position, velocity, attitude and rates of the state `y` for the scenario's start."""
     position_I, velocity_I, q_BI, rate_B = _motion(
-        scenario.initial, scenario.site, scenario.earth, scenario.run.start_s
+        scenario.initial, scenario.site, scenario.earth, scenario.rail, scenario.run.start_s
     )
     y[R_I : R_I + 3], y[V_I : V_I + 3] = position_I, velocity_I
     y[Q_BI : Q_BI + 4], y[W_BI_B : W_BI_B + 3] = q_BI, rate_B
@@ -39,7 +40,7 @@ def initial_motion(scenario: Scenario, y: Array) -> None:
 
 @cached_by_identity
 def _motion(
-    initial: Initial | None, site: schema.Site, given_earth: schema.EarthSection, start_s: float
+    initial: Initial | None, site: schema.Site, given_earth: schema.EarthSection, rail: Rail | None, start_s: float
 ) -> tuple[Array, Array, Array, Array]:
     given, earth = initial or Initial(), pack([pack_earth(given_earth)])[0]
     cos, sin = earth_rotation(earth, start_s)
@@ -57,7 +58,7 @@ def _motion(
         velocity_I = ground_I + product(to_inertial, np.array(given.earth_mps))
     else:
         velocity_I = ground_I + product(ned_to_inertial, np.array(given.ned_mps or (0.0, 0.0, 0.0)))
-    attitude = _attitude(given, site, ned_to_inertial)
+    attitude = _attitude(given, site, rail, ned_to_inertial)
     if given.rate_BI_degps is not None:
         rate_B = np.radians(given.rate_BI_degps)
     elif given.rate_BI_radps is not None:
@@ -77,6 +78,13 @@ def product(a: Array, b: Array) -> Array:
     )
 
 
+def site_axes(initial: Initial | None, site: schema.Site, earth: Earth) -> Array:
+    """Return the local north, east and down at the start, in E, as rows."""
+    given = initial or Initial()
+    _, sin_lat, cos_lat, sin_lon, cos_lon = local_frame(earth, *_position(given, site, earth, np.eye(3)))
+    return np.array(ned_axes(sin_lat, cos_lat, sin_lon, cos_lon)).reshape(3, 3)
+
+
 def _position(given: Initial, site: schema.Site, earth: Earth, to_inertial: Array) -> Array:
     if given.inertial_m is not None:
         return product(to_inertial.T, np.array(given.inertial_m))
@@ -88,7 +96,7 @@ def _position(given: Initial, site: schema.Site, earth: Earth, to_inertial: Arra
     )
 
 
-def _attitude(given: Initial, site: schema.Site, ned_to_inertial: Array) -> Array:
+def _attitude(given: Initial, site: schema.Site, rail: Rail | None, ned_to_inertial: Array) -> Array:
     """Return the matrix that turns B components into I components."""
     if given.q_BI is not None:
         return rotation(np.array(given.q_BI))
@@ -96,9 +104,13 @@ def _attitude(given: Initial, site: schema.Site, ned_to_inertial: Array) -> Arra
         return np.array(given.dcm_BI).T
     if given.euler_deg is not None:
         return product(ned_to_inertial, euler_to_ned(*np.radians(given.euler_deg)))
-    azimuth = math.radians(site.azimuth_deg)
+    azimuth_deg = site.azimuth_deg if rail is None or rail.azimuth_deg is None else rail.azimuth_deg
+    azimuth = math.radians(azimuth_deg)
     north, east = math.cos(azimuth), math.sin(azimuth)
     nose, under = np.array([0.0, 0.0, -1.0]), np.array([north, east, 0.0])
+    if rail is not None:
+        level, upright = math.cos(math.radians(rail.elevation_deg)), math.sin(math.radians(rail.elevation_deg))
+        nose, under = level * under + upright * nose, upright * under - level * nose
     return product(ned_to_inertial, np.stack([nose, np.cross(under, nose), under], axis=1))
 
 

@@ -96,12 +96,13 @@ def _core(stage: Stage, burn: Burn, hanging: Sequence[Pendulum], method: Method,
     """Return the columns CORE_MASS to MASS_FLOW."""
     cores, totals = [], []
     for b, body in enumerate(stage.bodies):
-        tanks = [pendulum.joined for pendulum in hanging if pendulum.body == b]
+        own = [pendulum for pendulum in hanging if pendulum.body == b]
+        tanks, beside = [pendulum.joined for pendulum in own], [pendulum.tank.position_m for pendulum in own]
         total = fit(*body.mass.rows(body.ignition_s if b == 0 else 0.0), method)
         core = merge([total])
         if tanks:
             breaks = union(total, *tanks)
-            core = fit(breaks, without_bobs(total.at(breaks), [tank.at(breaks) for tank in tanks]), method)
+            core = fit(breaks, without_bobs(total.at(breaks), [tank.at(breaks) for tank in tanks], beside), method)
         cores.append(on_clock(core, burn.of(b)))
         totals.append(on_clock(total, burn.of(b)))
     core, total = cores[0], totals[0]
@@ -164,14 +165,18 @@ def _squares_rate(r: Array, rate: Array) -> Array:
     return np.stack([yy + zz, xx + zz, xx + yy, u * y + x * v, u * z + x * w, v * z + y * w], axis=1)
 
 
-def without_bobs(total: Array, bobs: list[Array]) -> Array:
+def without_bobs(total: Array, bobs: list[Array], places: Sequence[tuple[float, float]]) -> Array:
     """Return rows (n, 10) of mass, CG and inertia of the vehicle without its bobs, each at rest below its hinge.
 
+    `places`: y and z of each hinge, m.
     Sums are written out, because a linear-algebra library adds in an order that depends on the processor.
     """
     mass, station, y, z = total[:, :4].T
     nothing = np.zeros_like(mass)
-    moved = [(-bob[:, 0], np.stack([station - (bob[:, 2] + bob[:, 1]), -y, -z])) for bob in bobs]
+    moved = [
+        (-bob[:, 0], np.stack([station - (bob[:, 2] + bob[:, 1]), at_y - y, at_z - z]))
+        for bob, (at_y, at_z) in zip(bobs, places, strict=True)
+    ]
     core_mass, cg = mass.copy(), np.stack([nothing, nothing, nothing])
     for m, r in moved:
         core_mass += m

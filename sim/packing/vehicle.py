@@ -56,6 +56,7 @@ def pack_vehicle(
         slosh=pack_slosh(pendulums(stage)[: sizes.pendulums], stage.bending, switches.slosh_exchange),
         rate_damping=_rate_damping(stage, burn, pool),
         roll_torque_Nm=stage.roll_thrusters.torque_Nm if stage.roll_thrusters else 0.0,
+        turn_torque_Nm=(stage.roll_thrusters.pitch_yaw_torque_Nm or 0.0) if stage.roll_thrusters else 0.0,
         jet_damping=int(switches.jet_damping),
         follower_thrust=int(switches.follower_thrust),
         gravity_gradient=int(scenario.earth.gravity_gradient),

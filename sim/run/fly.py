@@ -16,11 +16,18 @@ import numpy as np
 from maxq.control.kernel.limits import MAX_PENDULUMS
 from maxq.control.kernel.progress import compilation
 from maxq.control.kernel.records import Array, IntArray, Records, blank, pack
-from maxq.control.orbit_guidance import CUT_OFF, STEERING
+from maxq.control.orbit_guidance import STEERING
 from maxq.control.structures import DRIFT
 from maxq.sim.flight.channels import ChannelTable
 from maxq.sim.flight.loop import advance, begin
-from maxq.sim.flight.metric_table import METRIC_NAMES, MetricIndex, StepMetrics, WaveMetrics
+from maxq.sim.flight.metric_table import (
+    METRIC_NAMES,
+    CutoffMetrics,
+    LaunchMetrics,
+    MetricIndex,
+    StepMetrics,
+    WaveMetrics,
+)
 from maxq.sim.flight.parameters import (
     BURNOUT,
     CONTROL_LOST,
@@ -37,12 +44,22 @@ from maxq.sim.flight.telemetry import FAST, SLOW, Logged, channel_table
 from maxq.sim.input.values import to_ns
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
 from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, GrowingRows, LoggedRows, copied
-from maxq.sim.run.metrics import end_metrics, judge, orbit_metrics, section_extremes, section_metrics, step_failure
+from maxq.sim.run.metrics import (
+    cutoff_metrics,
+    end_metrics,
+    judge,
+    orbit_metrics,
+    section_extremes,
+    section_metrics,
+    step_failure,
+)
 from maxq.sim.run.quantities import propellant_text
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
+from maxq.sim.scenario.schema_launch import Cutoff
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.vehicle.state import CAUSES, R_I, V_I, Sizes, state_names
+from maxq.sim.world.earth import Earth
 
 if TYPE_CHECKING:
     from maxq.sim.run.flight_software import FlightSoftware
@@ -54,6 +71,7 @@ _MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # limits of a segment: tens of millise
 _FEW = 1_000  # steps and rows: a segment with fewer may be longer
 
 IGNITION_NAME, FAULT_NAME, FAULT_END_NAME = "ignition", "fault", "fault_end"
+CUTOFF_NAME, RESTART_NAME, RAIL_EXIT_NAME = "cutoff", "restart", "rail_exit"
 BOOSTER_NAMES = ("booster_ignition", "booster_burnout")
 _OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # which each stage has
 CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
@@ -197,13 +215,17 @@ class FlightRun:
             if start_ns <= ignition_ns <= clock.now_ns and ignition_ns < NEVER and not goes_on:
                 found.append(Event(IGNITION_NAME, ignition_ns, number))
             for name, times_ns in zip(_OF_STAGES, (clock.stage_burnout_ns, clock.stage_separation_ns), strict=True):
-                if times_ns[index] >= 0:
+                coasts = name == _OF_STAGES[0] and index == clock.stage and self._awaits_restart(clock)
+                if times_ns[index] >= 0 and not coasts:
                     found.append(Event(name, int(times_ns[index]), number))
         for name, time_ns in zip(EVENT_NAMES, clock.event_ns, strict=True):
             if time_ns >= 0 and name not in _OF_STAGES:
                 causes = {DIVERGED_NAME: CAUSES[clock.cause], CONTROL_LOST_NAME: CONTROL_LOST_CAUSE}
                 found.append(Event(name, int(time_ns), detail=causes.get(name, "")))
         found += self._boosters(clock, start_ns)
+        found += self._burns(clock)
+        if (exit_ns := int(self.packed.memory["launch"]["rail_exit_ns"][0])) >= 0:
+            found.append(Event(RAIL_EXIT_NAME, exit_ns))
         found += self._faults(clock, start_ns)
         found += self._broken_waves(clock)
         if self._software is not None and (said := self._software.complaint(self.memory.computer.external)):
@@ -220,6 +242,21 @@ class FlightRun:
             for kind, time_ns in zip(BOOSTER_NAMES, instants, strict=True):
                 if stage <= clock.stage and begins_ns <= time_ns <= until_ns:
                     yield Event(kind, time_ns, (stage + 1) * several, name)
+
+    def _burns(self, clock: Clock) -> Iterator[Event]:
+        """Yield the cutoffs before restarts, and the restarts."""
+        several = len(self.packed.parameters) > 1
+        for n in range(clock.restarts):
+            number = (int(clock.restart_stage[n]) + 1) * several
+            yield Event(CUTOFF_NAME, int(clock.restart_cut_off_ns[n]), number)
+            yield Event(RESTART_NAME, int(clock.restart_ns[n]), number)
+        if self._awaits_restart(clock):
+            yield Event(CUTOFF_NAME, clock.cut_off_ns, (clock.stage + 1) * several)
+
+    def _awaits_restart(self, clock: Clock) -> bool:
+        """Return True in a coast before a restart."""
+        burns = self.packed.parameters[clock.stage].computer.burns
+        return 0 < clock.cut_off_ns <= clock.now_ns and clock.restarts + 1 < burns.count
 
     def _broken_waves(self, clock: Clock) -> list[Event]:
         """Return the first time at which a wave breaks in each tank, for the stages so far."""
@@ -332,6 +369,7 @@ class FlightRun:
         metrics |= {name: float(error) if accuracy is not None else math.nan for name, error in estimated.items()}
         r_I_m, v_I_mps = (tuple(self.packed.state[k : k + 3].tolist()) for k in (R_I, V_I))
         metrics |= orbit_metrics(earth, r_I_m, v_I_mps)._asdict()
+        metrics |= self._of_launch(metric_times_s) | self._of_cutoff(earth, metric_times_s)
         metric_times_s |= section_times._asdict()
         judged = scenario.requirement
         if scenario.design is None or scenario.vehicle.computer is None:  # no control: there is no attitude error
@@ -365,16 +403,44 @@ class FlightRun:
             wall_s=self.wall_s,
         )
 
+    def _of_launch(self, times_s: dict[str, float]) -> dict[str, float]:
+        """Return the metrics of the launch, and write their times."""
+        launch, scenario = self.packed.memory["launch"][0], self.loaded.scenario
+        values = launch.clearance_m, launch.drift_m, launch.rail_exit_mps
+        times_ns = launch.clearance_ns, launch.drift_ns, launch.rail_exit_ns
+        measured = scenario.tower is not None, scenario.tower is not None, launch.rail_exit_ns >= 0
+        found = {
+            name: float(value) if known else math.nan
+            for name, value, known in zip(LaunchMetrics._fields, values, measured, strict=True)
+        }
+        at_s = zip(LaunchMetrics._fields, times_ns, strict=True)
+        times_s |= {name: time_ns / 1e9 if time_ns >= 0 else math.nan for name, time_ns in at_s}
+        return found
+
+    def _of_cutoff(self, earth: Earth, times_s: dict[str, float]) -> dict[str, float]:
+        """Return the metrics of the last cutoff by the guidance, and write their times."""
+        burnout, ends, clock = self.packed.memory["burnout"][0], self.loaded.scenario.guidance.ends, self.clock
+        burning = int(self.packed.memory["held"]["burning"][0])
+        end = ends[max(clock.restarts - burning, 0)] if clock.restarts > 0 or clock.cut_off_ns > 0 else None
+        times_s |= dict.fromkeys(CutoffMetrics._fields, math.nan if end is None else burnout.time_ns / 1e9)
+        if end is None:
+            return dict.fromkeys(CutoffMetrics._fields, math.nan)
+        return cutoff_metrics(earth, end, tuple(burnout.r_I_m.tolist()), tuple(burnout.v_I_mps.tolist()))._asdict()
+
     def _missed_orbit(self) -> tuple[str, ...]:
-        """Return a failure if the last engine burned out before the closed-loop guidance cut it off."""
-        computers, memory = self.packed.parameters["computer"], self.packed.memory
-        burned_out = memory["clock"]["stage_burnout_ns"][0, len(computers) - 1] >= 0
-        phase = memory["computer"]["orbit"]["phase"][0]
-        if not burned_out or not computers["orbit"]["on"][-1] or phase == CUT_OFF:
+        """Return a failure if the last engine burned out before the guidance cut it off."""
+        clock, ends = self.clock, self.loaded.scenario.guidance.ends
+        burned_out = clock.stage_burnout_ns[len(self.packed.parameters) - 1] >= 0
+        if self.packed.parameters[-1].computer.burns.count == 0 or not burned_out or clock.cut_off_ns > 0:
             return ()
-        if phase < STEERING:
-            return ("closed-loop guidance found no way to the orbit",)
-        return ("the engine burned out before closed-loop guidance reached the orbit",)
+        end, which = ends[clock.restarts], f" of burn {clock.restarts + 1}" if len(ends) > 1 else ""
+        if end is None:
+            return ()
+        if isinstance(end, Cutoff):
+            return (f"the engine burned out before the cutoff{which}",)
+        if self.packed.memory["computer"]["orbit"]["phase"][0] < STEERING:
+            return (f"closed-loop guidance{which} found no way to the orbit",)
+        return (f"the engine burned out before closed-loop guidance{which} reached the orbit",)
 
     def state_hash(self) -> str:
         """Return the SHA-256 over the last state, time and events, which is equal for bit-identical flights."""

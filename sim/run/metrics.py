@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 from maxq.control.kernel.records import Records
 from maxq.control.kernel.vectors import Vector, add, cross, dot, norm, scaled
-from maxq.sim.flight.metric_table import EndMetrics, OrbitMetrics, SectionMetrics, title_of, unit_of
+from maxq.sim.flight.metric_table import CutoffMetrics, EndMetrics, OrbitMetrics, SectionMetrics, title_of, unit_of
 from maxq.sim.run.quantities import against_limit, by_utilisation, meets, sign_of, utilisation
 from maxq.sim.scenario.schema_environment import Site
+from maxq.sim.scenario.schema_launch import Cutoff, OrbitTarget
 from maxq.sim.scenario.schema_scenario import RequirementSection
 from maxq.sim.vehicle.loads.kernel import BENDING, COMPRESSION, KINDS, SHEAR, TENSILE, SectionLoads, extreme_index
 from maxq.sim.world.earth import FLAT, INVERSE_SQUARE, J2, Earth
@@ -99,6 +100,28 @@ def orbit_metrics(earth: Earth, r_I_m: Vector, v_I_mps: Vector) -> OrbitMetrics:
         orbit_argument_of_perigee_deg=angle_deg(node, perigee),
         orbit_true_anomaly_deg=angle_deg(perigee, r_I_m),
     )
+
+
+def cutoff_metrics(earth: Earth, end: OrbitTarget | Cutoff, r_I_m: Vector, v_I_mps: Vector) -> CutoffMetrics:
+    """Return the metrics of a cutoff at this position and velocity in I; `end`: its aim."""
+    spin = float(earth.rate_radps)
+    over_ground = (v_I_mps[0] + spin * r_I_m[1], v_I_mps[1] - spin * r_I_m[0], v_I_mps[2])
+    speed_mps, inertial_mps, orbit = norm(over_ground), norm(v_I_mps), orbit_metrics(earth, r_I_m, v_I_mps)
+    aim = end if isinstance(end, Cutoff) else Cutoff.model_construct()
+    aims = [(speed_mps, aim.earth_speed_mps), (inertial_mps, aim.inertial_speed_mps)]
+    perigee_m = end.perigee_altitude_m if isinstance(end, OrbitTarget) else None
+    return CutoffMetrics(
+        cutoff_altitude_m=norm(r_I_m) - float(earth.equatorial_radius_m) if earth.figure != FLAT else -r_I_m[2],
+        cutoff_speed_mps=speed_mps,
+        cutoff_inertial_speed_mps=inertial_mps,
+        cutoff_speed_error_mps=next((abs(value - wanted) for value, wanted in aims if wanted is not None), math.nan),
+        cutoff_apogee_error_m=_error(orbit.apogee_altitude_m, end.apogee_altitude_m),
+        cutoff_perigee_error_m=_error(orbit.perigee_altitude_m, perigee_m),
+    )
+
+
+def _error(value: float, wanted: float | None) -> float:
+    return math.nan if wanted is None else abs(value - wanted)
 
 
 @dataclass(frozen=True)

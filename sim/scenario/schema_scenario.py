@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from maxq.control.kernel.limits import MAX_FAULTS, MAX_INJECTIONS, MAX_TONES
+from maxq.control.kernel.limits import MAX_BURNS, MAX_FAULTS, MAX_INJECTIONS, MAX_TONES
 from maxq.control.structures import DRIFT, RELIEF
-from maxq.sim.flight.metric_table import METRIC_NAMES
+from maxq.sim.flight.metric_table import METRIC_NAMES, CutoffMetrics, LaunchMetrics
 from maxq.sim.input.errors import refuse, suggestion
 from maxq.sim.input.tables_csv import Columns, CsvTable
 from maxq.sim.input.values import (
@@ -29,6 +29,7 @@ from maxq.sim.scenario.coverage import check_gains, check_programme, check_stage
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_environment import AtmosphereSection, EarthSection, Site, WindSection
 from maxq.sim.scenario.schema_fault import KINDS, Fault
+from maxq.sim.scenario.schema_launch import Cutoff, OrbitTarget, Rail, Restart, Tower
 from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
 from maxq.sim.vehicle.loads.section import SECTION_PREFIX, check_line_mass
 
@@ -219,26 +220,20 @@ class Guidance(Section):
         "axes of pitch and yaw: those of the body, or axes without the commanded roll", "body"
     )
     orbit: OrbitTarget | None = optional("closed-loop guidance to this orbit, after the programme")
+    cutoff: Cutoff | None = optional("cutoff of the last engine without closed-loop guidance, instead of orbit")
+    restart: tuple[Restart, ...] = optional("further burns of the last engine", (), max_length=MAX_BURNS - 1)
 
-
-class OrbitTarget(Section):
-    """The closed-loop guidance of the last engine to an orbit outside the atmosphere, with cutoff at perigee."""
-
-    perigee_altitude_m: float = Field(description="height above the equatorial radius, m")
-    apogee_altitude_m: float = Field(description="height above the equatorial radius, m")
-    inclination_deg: Annotated[float, Field(ge=0.0, le=180.0)] | None = optional(
-        "inclination, deg (default: that of the plane of flight at the start)"
-    )
-    isp_s: Positive = Field(description="effective specific impulse used by the guidance, s")
-    start_s: Seconds = optional("vehicle clock, s; at least 3 s after the ignition", 0.0)
-    cycle_s: Positive = optional("time between two solutions, s", 1.0)
-    rate_limit_degps: Positive = optional("rate limit of the commanded attitude, deg/s", 3.0)
+    @property
+    def ends(self) -> tuple[OrbitTarget | Cutoff | None, ...]:
+        """Return what each burn of the last engine ends at, or None for the end of its propellant."""
+        return self.orbit or self.cutoff, *(restart.orbit or restart.cutoff for restart in self.restart)
 
     def _check(self) -> None:
-        if self.perigee_altitude_m < 100e3:
-            raise refuse("is in the air", "at least 100e3", "perigee_altitude_m")
-        if self.apogee_altitude_m < self.perigee_altitude_m:
-            raise refuse("is below the perigee", f"at least {self.perigee_altitude_m:g}", "apogee_altitude_m")
+        self.at_most_one("orbit", "cutoff")
+        for n, end in enumerate(self.ends[:-1]):
+            if end is None:
+                key = ("orbit",) if n == 0 else ("restart", n - 1, "orbit")
+                raise refuse("required key is missing: another burn follows", "orbit or cutoff", key)
 
 
 class HoldDown(Section):
@@ -332,6 +327,8 @@ class Scenario(Section):
     initial: Initial | None = optional("absent: on the pad, nose up, at rest on the Earth, held down")
     guidance: Guidance = Guidance()
     holddown: HoldDown = HoldDown()
+    rail: Rail | None = optional("absent: no launch rail")
+    tower: Tower | None = optional("absent: none")
     injection: tuple[Injection, ...] = optional("signals for tests", (), max_length=MAX_INJECTIONS)
     fault: tuple[Fault, ...] = optional(
         "parts that fail; of two faults of one part the later entry holds", (), max_length=MAX_FAULTS
@@ -349,6 +346,7 @@ class Scenario(Section):
         self._check_control()
         self._check_faults()
         self._check_hold_down()
+        self._check_launch()
         self._check_wind()
         self._check_section_loads()
         self._check_coverage()
@@ -369,8 +367,7 @@ class Scenario(Section):
             raise refuse(
                 "needs an attitude that can roll", "vehicle.computer.attitude = 'quaternion'", ("guidance", "axes")
             )
-        if self.guidance.orbit is not None:
-            self._check_orbit(self.guidance.orbit)
+        self._check_burns()
         for n, injection in enumerate(self.injection):
             key = ("injection", n, "at")
             if injection.at in ("gimbal_command", "thrust") and not any(stage.engine for stage in self.vehicle.stage):
@@ -378,16 +375,77 @@ class Scenario(Section):
             if injection.at == "rate_command" and computer is None:
                 raise refuse("the vehicle has no [computer]", "body_force, body_torque", key)
 
-    def _check_orbit(self, wanted: OrbitTarget) -> None:
-        computer, at = self.vehicle.computer, ("guidance", "orbit")
+    def _check_burns(self) -> None:
+        """Check the ends of the burns of the last engine."""
+        keys = [(), *(("restart", n) for n in range(len(self.guidance.restart)))]
+        for n, (key, end) in enumerate(zip(keys, self.guidance.ends, strict=True)):
+            at = ("guidance", *key, "orbit" if isinstance(end, OrbitTarget) else "cutoff")
+            if isinstance(end, OrbitTarget):
+                self._check_attitude(at)
+                self._check_gravity(at)
+                self._check_inclination(end, at)
+            elif end is not None:
+                if not any(stage.engines for stage in self.vehicle.stage):
+                    raise refuse("the vehicle has no engine", "a vehicle with [stage.engine]", at, value={})
+                if end.apogee_altitude_m is not None:
+                    self._check_gravity((*at, "apogee_altitude_m"))
+            if n > 0 and self.guidance.restart[n - 1].before_apogee_s is not None:
+                self._check_gravity(("guidance", *key, "before_apogee_s"))
+        if self.guidance.restart:
+            self._check_coast()
+
+    def _check_coast(self) -> None:
+        """Check that thrusters can turn the vehicle between two burns."""
+        at, last, computer = ("guidance", "restart"), len(self.vehicle.stage) - 1, self.vehicle.computer
+        self._check_attitude(at)
+        assert computer is not None
+        count = len(self.guidance.restart)
+        if computer.law == "external":
+            raise refuse("external flight code has no thrusters in pitch and yaw", "law = 'design'", at, value=count)
+        thrusters = self.vehicle.stage[last].roll_thrusters
+        if thrusters is None or thrusters.pitch_yaw_torque_Nm is None:
+            allowed = f"vehicle.stage.{last}.roll_thrusters.pitch_yaw_torque_Nm"
+            raise refuse("nothing turns the vehicle in its coast", allowed, at, value=count)
+        if self.design is None or self.design.of_stage(last).roll is None:
+            raise refuse("nothing switches the thrusters in the coast", "a design with [roll]", at, value=count)
+
+    def _check_attitude(self, at: tuple[str | int, ...]) -> None:
+        computer = self.vehicle.computer
         if computer is None or computer.attitude != "quaternion":
             raise refuse("needs an attitude in space", "vehicle.computer.attitude = 'quaternion'", at)
+
+    def _check_gravity(self, at: tuple[str | int, ...]) -> None:
         if self.earth.gravity not in ("j2", "inverse_square"):
             raise refuse("there are no orbits", "earth.gravity = 'j2', 'inverse_square'", at)
+
+    def _check_inclination(self, wanted: OrbitTarget, at: tuple[str | int, ...]) -> None:
         least = abs(self.site.latitude_deg)
         if wanted.inclination_deg is not None and not least <= wanted.inclination_deg <= 180.0 - least:
             allowed = f"{least:g} to {180.0 - least:g}, from the site's latitude"
             raise refuse("no plane through the site has it", allowed, (*at, "inclination_deg"))
+
+    def _check_launch(self) -> None:
+        """Check rail and tower, and that the metrics required of them and of a cutoff exist."""
+        given = [name for name in ATTITUDES if self.initial is not None and getattr(self.initial, name) is not None]
+        for key in ("rail", "tower"):
+            if getattr(self, key) is not None and not self.held:
+                raise refuse("the flight begins in the air", "a vehicle that is held down", (key,), value={})
+        if self.rail is not None and given:
+            raise refuse("the rail sets the attitude", "without this key", ("initial", given[0]))
+        if self.tower is not None:
+            radius_m = self.tower.radius_m + self.tower.vehicle_radius(self.vehicle.reference.diameter_m)
+            if self.tower.distance_m <= radius_m:
+                raise refuse("the tower reaches into the vehicle", f"above {radius_m:g}", ("tower", "distance_m"))
+        for n, requirement in enumerate(self.requirement):
+            needs = {
+                "[rail]": requirement.metric == "rail_exit_speed_mps" and self.rail is None,
+                "[tower]": requirement.metric in LaunchMetrics._fields[:2] and self.tower is None,
+                "guidance.orbit or guidance.cutoff": requirement.metric in CutoffMetrics._fields
+                and not any(self.guidance.ends),
+            }
+            for allowed, missing in needs.items():
+                if missing:
+                    raise refuse("this flight does not measure it", allowed, ("requirement", n, "metric"))
 
     def _check_filter(self, stage: int) -> None:
         design, computer = self.design, self.vehicle.computer_of(stage)

@@ -50,7 +50,14 @@ from maxq.sim.vehicle.engine.kernel import (
     thrust,
 )
 from maxq.sim.vehicle.engine.modes import Rates, engine_velocity, gimbal_rates, modal_roll_response
-from maxq.sim.vehicle.environment import AirData, Environment, air_data, pad_acceleration, winds_along_body
+from maxq.sim.vehicle.environment import (
+    AirData,
+    Environment,
+    air_data,
+    pad_acceleration,
+    rail_acceleration,
+    winds_along_body,
+)
 from maxq.sim.vehicle.faults import N_FAULT_SLOTS
 from maxq.sim.vehicle.modes.planar import (
     Bending,
@@ -103,6 +110,7 @@ class StageRecord:
     slosh: Slosh
     rate_damping: TableRef  # columns about x, y, z over the schedule's clock, N m s/rad; none: no such damping
     roll_torque_Nm: float
+    turn_torque_Nm: float  # of thrusters in pitch and yaw
     jet_damping: int
     follower_thrust: int
     gravity_gradient: int
@@ -113,10 +121,13 @@ class Held:
     """The quantities that are constant between two events of the flight."""
 
     on_pad: int  # 1: held down
+    on_rail: int  # 1: guided by the launch rail
     burning: int
     command_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # command to the actuators: pitch, yaw of each group
     engine_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # angles at the start of the step: the memory of a play
     roll_torque_Nm: float
+    turn_torque_Nm: Annotated[Array, (2,)]  # of the thrusters in pitch and yaw
+    settling_N: float  # forward thrust before a restart
     faults: Annotated[Array, (N_FAULT_SLOTS,)]  # see faults.py
 
 
@@ -257,12 +268,18 @@ def _derivative(
     )
     inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_TOTAL_MASS]
     pad, axial_load = (0.0, 0.0, 0.0), (aero_force[0] + thrust_force[0]) * inverse_mass
-    if held.on_pad == 1:
+    if held.on_pad + held.on_rail > 0:
         pad = pad_acceleration(environment.earth, rotation, gravitation, y)
+        if held.on_rail == 1:
+            pad = rail_acceleration(environment.earth, rotation, pad, axial_load, y)
         axial_load = pad[0]
 
     force = add(add(aero_force, thrust_force), (inputs.force_x_N, inputs.force_y_N, inputs.force_z_N))
     moment = add(aero_moment, thrust_moment)
+    if held.settling_N > 0.0:
+        force, axial_load = add(force, (held.settling_N, 0.0, 0.0)), axial_load + held.settling_N * inverse_mass
+    if held.turn_torque_Nm[0] != 0.0 or held.turn_torque_Nm[1] != 0.0:
+        moment = add(moment, (0.0, held.turn_torque_Nm[0], held.turn_torque_Nm[1]))
     moment = add(moment, (held.roll_torque_Nm + inputs.torque_x_Nm, inputs.torque_y_Nm, inputs.torque_z_Nm))
     if vehicle.gravity_gradient == 1:
         moment = add(moment, gravity_gradient_moment(environment, balanced.inertia, rotation, y))
@@ -349,7 +366,9 @@ def _derivative(
             work.system,
             aux.tvc_loads,
         )
-    specific_force, alpha = accelerate(sizes, held.on_pad, balanced, force, moment, pad, properties, y, pendulums, work)
+    specific_force, alpha = accelerate(
+        sizes, held.on_pad + held.on_rail, balanced, force, moment, pad, properties, y, pendulums, work
+    )
 
     rigid.kinematics(
         environment.earth, held.on_pad, rotation, rate, specific_force, alpha, gravitation, properties, y, dy

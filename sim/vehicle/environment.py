@@ -169,6 +169,19 @@ def pad_acceleration(earth: Earth, rotation: Matrix, gravity: Vector, y: Array) 
 
 
 @kernel
+def rail_acceleration(earth: Earth, rotation: Matrix, pad: Vector, axial_mps2: float, y: Array) -> Vector:
+    """Return the specific force of a vehicle on its launch rail, in B, m/s2.
+
+    It moves along its own axis, which turns with the Earth. `pad`: specific force of the pad. `axial_mps2`: axial force
+    of thrust and air per mass. The rail has no friction.
+    """
+    spin = rotate_back(rotation, (0.0, 0.0, earth.rate_radps))
+    over_ground = rotate_back(rotation, velocity_over_ground(earth, y))
+    coriolis = cross(spin, over_ground)
+    return axial_mps2, pad[1] + 2.0 * coriolis[1], pad[2] + 2.0 * coriolis[2]
+
+
+@kernel
 def velocity_over_ground(earth: Earth, y: Array) -> Vector:
     """Return the velocity relative to the rotating Earth, in I, m/s."""
     ground = ground_velocity(earth, y[R_I], y[R_I + 1])

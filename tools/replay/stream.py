@@ -40,6 +40,8 @@ PHASES = {
 _BEGUN_BY = {
     "liftoff": "powered",
     "ignition": "powered",
+    "restart": "powered",
+    "cutoff": "coasting up",
     "burnout": "coasting up",
     "apogee": "falling",
     "control_lost": "control lost",

@@ -39,6 +39,7 @@ ROOM_DB, ROOM_DEG = 0.5, 2.0  # added by a case to its suite: points and roundin
 ROLL_SHARE = 0.25  # of the gimbals' angle, available to roll
 FASTER = 0.1  # share of its burn by which a part's tables continue if the next part continues the burn
 FAR, LOW_PASS = 100.0, 0.15  # frequency of mode 1 over that of the rigid body; poles over mode 1
+REVOLUTION_s = 6500.0  # of a low orbit
 SHOWN = 0.4  # share of the sample rate up to which a mode gets a notch
 CsvFile = tuple[str, Sequence[tuple[Any, ...]]]  # head and rows of a CSV file
 Tables = dict[str, CsvFile]  # by the file's name
@@ -358,6 +359,9 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
         out["accelerometer"] = {"station_m": control.accelerometer_station_m, **lag}
     roll = stage.roll_torque_Nm or math.radians(5.0) * stack.mass_properties(0.0).roll_kgm2
     out["roll_thrusters"] = {"torque_Nm": roll}
+    if built.layout.trajectory.restart and stage is built.layout.stage[-1]:
+        turn = stage.turn_torque_Nm or math.radians(0.5) * stack.mass_properties(0.0).pitch_kgm2
+        out["roll_thrusters"]["pitch_yaw_torque_Nm"] = turn
     return out
 
 
@@ -500,16 +504,22 @@ def _scenario(built: Built) -> dict[str, Any]:
         "description": f"{built.layout.name}, powered ascent without wind",
         "vehicle": "vehicle",
         "design": "design.toml",
-        "run": {"duration_s": float(math.ceil(last.time_s + 5.0))},
+        "run": {"duration_s": float(math.ceil(last.time_s + 5.0 + _coasts_s(built)))},
         "site": {
             "latitude_deg": site.latitude_deg,
             "longitude_deg": site.longitude_deg,
             "altitude_m": site.altitude_m,
-            "azimuth_deg": site.azimuth_deg,
+            "azimuth_deg": built.layout.azimuth_deg,
         },
         "guidance": {"programme": "vehicle/pitch_programme.csv", **_closed_loop(built)},
         "requirement": _requirements(built),
     }
+
+
+def _coasts_s(built: Built) -> float:
+    """Return the time that further burns of the last engine may take, at most a revolution each until an apogee."""
+    burn_s = built.flight.stacks[-1].burn.end_s
+    return sum((each.coast_s or REVOLUTION_s) + burn_s for each in built.layout.trajectory.restart)
 
 
 def _closed_loop(built: Built) -> dict[str, Any]:
@@ -535,7 +545,9 @@ def _closed_loop(built: Built) -> dict[str, Any]:
             "perigee_altitude_m": wanted.orbit_altitude_m,
             "apogee_altitude_m": wanted.apogee_altitude_m,
             "isp_s": float(f"{last.impulse_Ns / spent / STANDARD_GRAVITY_mps2:.6g}"),
-        }
+            **({} if wanted.inclination_deg is None else {"inclination_deg": wanted.inclination_deg}),
+        },
+        **({} if not wanted.restart else {"restart": [_copied(each, "restart", {}) for each in wanted.restart]}),
     }
 
 

@@ -13,19 +13,22 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_STAGES
+from maxq.control.kernel.limits import MAX_BURNS, MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_STAGES
 from maxq.sim.input import values
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.foreign import RASP
 from maxq.sim.input.tables_csv import Columns, CsvTable
 from maxq.sim.input.values import Fraction, NotNegative, Pair, Positive, Section, optional
 from maxq.sim.scenario.loader import load_file
+from maxq.sim.scenario.schema_launch import Restart
 from maxq.sim.vehicle.actuator.section import SECTIONS
 from maxq.sim.vehicle.air.section import AeroSection
 from maxq.sim.vehicle.loads.section import SHARE_COLUMNS
 from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
 from maxq.sim.vehicle.slosh.section import Profile, check_domes
 from maxq.sim.vehicle.tvc_load.section import TvcLoadSection
+from maxq.sim.world.earth import WGS84_RADIUS_m
+from maxq.tools.vehicle.azimuth import launch_azimuth_deg
 
 LAYOUT_THRUST_COLUMNS = Columns(
     "time_s",
@@ -284,6 +287,9 @@ class LayoutStage(Between):
     modes: Annotated[int, Field(ge=0, le=8)] = optional("bending modes of the beam", 3)
     bending_damping: Fraction = optional("damping ratio of all modes", 0.005)
     roll_torque_Nm: Positive | None = optional("of roll thrusters, N m (default: what turns by 5 deg/s2 at ignition)")
+    turn_torque_Nm: Positive | None = optional(
+        "of thrusters in pitch and yaw, which turn the last stage before a restart, N m (default: by 0.5 deg/s2)"
+    )
     separation_after_s: values.Seconds = optional("from burnout to separation, s", 1.0)
     ignition_after_s: values.Seconds = optional("from separation of the stage before to ignition, s", 2.0)
 
@@ -316,7 +322,9 @@ class LayoutSite(Section):
     latitude_deg: values.Latitude = Field(description="geodetic, deg")
     longitude_deg: values.Longitude = Field(description="east, deg")
     altitude_m: float = optional("above the ellipsoid, m", 0.0)
-    azimuth_deg: values.Angle = Field(description="launch azimuth, deg from north")
+    azimuth_deg: values.Angle | None = optional(
+        "launch azimuth, deg from north (default: from trajectory.inclination_deg)"
+    )
     jet_mps: Positive = optional("peak of the suite's limit wind, from the west at 11 km, m/s", 40.0)
 
 
@@ -344,7 +352,24 @@ class Trajectory(Section):
         "guidance and cutoff of the last engine (default: pitch programme only, to the end of propellant)"
     )
 
+    inclination_deg: Annotated[float, Field(ge=0.0, le=180.0)] | None = optional(
+        "inclination of the orbit, deg: gives the launch azimuth instead of site.azimuth_deg"
+    )
+    southwards: bool = optional("launch to the south, with inclination_deg", False)
+    restart: tuple[Restart, ...] = optional(
+        "further burns of the last engine, as guidance.restart of a scenario, which end at an orbit or a cutoff",
+        (),
+        max_length=MAX_BURNS - 1,
+    )
+
     def _check(self) -> None:
+        if self.southwards and self.inclination_deg is None:
+            raise refuse("the azimuth is given", "with inclination_deg", "southwards", value=True)
+        if self.inclination_deg is not None and self.orbit_altitude_m is None:
+            raise refuse("belongs to an orbit", "with orbit_altitude_m", "inclination_deg", value=self.inclination_deg)
+        if self.restart and self.apogee_altitude_m is None:
+            problem = "the first burn has no orbit to end at"
+            raise refuse(problem, "with apogee_altitude_m", "restart", value=len(self.restart))
         perigee_m, apogee_m = self.orbit_altitude_m, self.apogee_altitude_m
         if apogee_m is not None and (perigee_m is None or apogee_m < perigee_m):
             least = "an orbit_altitude_m" if perigee_m is None else f"at least orbit_altitude_m = {perigee_m:g}"
@@ -384,7 +409,31 @@ class Layout(Section):
     fairing: Fairing | None = optional("absent: none, or never dropped")
     stage: tuple[LayoutStage, ...] = Field(min_length=1, max_length=MAX_STAGES, description="in the order of flight")
 
+    @property
+    def azimuth_deg(self) -> float:
+        """Return the launch azimuth, given or from the inclination."""
+        if self.site.azimuth_deg is not None:
+            return self.site.azimuth_deg
+        wanted, (perigee_m, apogee_m) = self.trajectory, self._orbit_m()
+        assert wanted.inclination_deg is not None
+        way = wanted.southwards
+        return launch_azimuth_deg(self.site.latitude_deg, wanted.inclination_deg, perigee_m, apogee_m, southwards=way)
+
+    def _orbit_m(self) -> tuple[float, float]:
+        """Return the radii of perigee and apogee of the first orbit; the apogee is that of a circle unless given."""
+        perigee_m = self.trajectory.orbit_altitude_m or 0.0
+        return WGS84_RADIUS_m + perigee_m, WGS84_RADIUS_m + (self.trajectory.apogee_altitude_m or perigee_m)
+
     def _check(self) -> None:
+        if (self.site.azimuth_deg is None) == (self.trajectory.inclination_deg is None):
+            raise refuse(
+                "no launch azimuth, or two", "azimuth_deg, or trajectory.inclination_deg", ("site", "azimuth_deg")
+            )
+        try:
+            self.azimuth_deg  # noqa: B018  # raises where no plane has the inclination
+        except ValueError as beyond:
+            at = ("trajectory", "inclination_deg")
+            raise refuse("no plane through the site has it", str(beyond), at) from beyond
         for n, (lower, upper) in enumerate(pairwise(self.stage)):
             if abs(upper.rear_station_m - lower.front_station_m) > 1e-6:
                 raise refuse(

@@ -26,7 +26,7 @@ from maxq.sim.world import earth
 from maxq.sim.world.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K, TOP_m, us1976
 from maxq.sim.world.thermosphere import upper_air
 from maxq.tools.vehicle.aerodynamics import Aerodynamics
-from maxq.tools.vehicle.layout import Layout, LayoutSite
+from maxq.tools.vehicle.layout import Layout
 from maxq.tools.vehicle.masses import Stack, without_fairing
 
 STEERING_BLEND_s = 15.0  # from the gravity turn's attitude to that of the tangent law
@@ -104,8 +104,8 @@ class _StackPlace(NamedTuple):
     cos_north: float  # of latitude, times that of azimuth
 
     @staticmethod
-    def of(site: LayoutSite) -> _StackPlace:
-        latitude, azimuth = math.radians(site.latitude_deg), math.radians(site.azimuth_deg)
+    def of(layout: Layout) -> _StackPlace:
+        latitude, azimuth = math.radians(layout.site.latitude_deg), math.radians(layout.azimuth_deg)
         radius = earth.WGS84_RADIUS_m * (1.0 - earth.WGS84_FLATTENING * math.sin(latitude) ** 2)
         turning = earth.WGS84_RATE_radps * math.cos(latitude)
         return _StackPlace(
@@ -133,7 +133,7 @@ class _Model:
 
     @cached_property
     def place(self) -> _StackPlace:
-        return _StackPlace.of(self.layout.site)
+        return _StackPlace.of(self.layout)
 
     @cached_property
     def masses(self) -> list[tuple[Array, Array]]:

@@ -93,3 +93,6 @@ class RollThrusters(Section):
     """The on/off cold-gas thrusters about the roll axis."""
 
     torque_Nm: Positive = Field(description="torque of one direction while on, N m")
+    pitch_yaw_torque_Nm: Positive | None = optional(
+        "torque in pitch and in yaw, which hold the attitude in a coast before a restart (guidance.restart), N m"
+    )

@@ -71,7 +71,7 @@ def pendulums(stage: Stage) -> list[Pendulum]:
     """Return all pendulums of a stage, tank by tank."""
     places = [(0.0, 0.0), *(booster.position_m for booster in stage.booster)]
     modes = [
-        (tank, mode, *curves, body, places[body])
+        (tank, mode, *curves, body, (places[body][0] + tank.position_m[0], places[body][1] + tank.position_m[1]))
         for body, _, tank in stage.tanks
         for mode, curves in enumerate(pendulum_curves(tank, stage.interpolation), start=1)
     ]

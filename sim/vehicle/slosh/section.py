@@ -92,6 +92,9 @@ class Tank(Section):
         description="over the stage clock: the pendulum, and that of the second mode in columns ..._2_...; or the "
         "liquid's mass, from which `shape` gives the pendulums. The stage's table of mass includes it"
     )
+    position_m: Pair = optional(
+        "axis of the tank, y and z from the axis of the body that carries it (core or booster), m", (0.0, 0.0)
+    )
     damping_ratio: Fraction = optional(
         "damping ratio of the pendulum in small waves (default 0 with viscosity_m2ps or baffles)", 0.0
     )
@@ -105,7 +108,7 @@ class Tank(Section):
     length_factor: Positive = optional(
         "multiplies the pendulum's length; its frequency is proportional to 1/sqrt of it", 1.0
     )
-    shape: Literal["cylinder", "sphere", "ellipsoid"] | None = optional("shape of the tank, upright on the body axis")
+    shape: Literal["cylinder", "sphere", "ellipsoid"] | None = optional("shape of the tank, upright")
     radius_m: Positive | None = optional("radius of the tank, m; without a shape: of an upright cylinder")
     bottom_station_m: float | None = optional("aft end of the tank, m aft of the nose")
     height_m: Positive | None = optional("inner height of a cylinder (domes included) or an ellipsoid, m")

@@ -31,7 +31,17 @@ from maxq.sim.input.ranges import LARGEST_NUMBER, RANGES
 from maxq.sim.input.values import Section
 from maxq.sim.packing.schedule import stage_sizes
 from maxq.sim.run.flight import WAVE_BREAKING_NAME
-from maxq.sim.run.fly import BOOSTER_NAMES, CONTROL_LOST_CAUSE, FAULT_END_NAME, FAULT_NAME, IGNITION_NAME, SOFTWARE_NAME
+from maxq.sim.run.fly import (
+    BOOSTER_NAMES,
+    CONTROL_LOST_CAUSE,
+    CUTOFF_NAME,
+    FAULT_END_NAME,
+    FAULT_NAME,
+    IGNITION_NAME,
+    RAIL_EXIT_NAME,
+    RESTART_NAME,
+    SOFTWARE_NAME,
+)
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.messages import describe, section_of, unwrap
 from maxq.sim.scenario.schema_design import Design
@@ -45,9 +55,23 @@ _MARK = re.compile(
     rf"^(?P<begin><!-- from code: (?P<kind>\w+) ?(?P<words>[^\n]*?) -->)$(?:(?:(?!^<!-- from code:).)*?^{_END}$)?",
     re.MULTILINE | re.DOTALL,
 )
-_EVENTS = (IGNITION_NAME, *BOOSTER_NAMES, *EVENT_NAMES, FAULT_NAME, FAULT_END_NAME, WAVE_BREAKING_NAME, SOFTWARE_NAME)
+_EVENTS = (
+    IGNITION_NAME,
+    *BOOSTER_NAMES,
+    CUTOFF_NAME,
+    RESTART_NAME,
+    RAIL_EXIT_NAME,
+    *EVENT_NAMES,
+    FAULT_NAME,
+    FAULT_END_NAME,
+    WAVE_BREAKING_NAME,
+    SOFTWARE_NAME,
+)
 _EVENT_MEANINGS = {
     IGNITION_NAME: "the engine of a stage begins to burn",
+    CUTOFF_NAME: "the guidance cuts the last engine off before a restart",
+    RESTART_NAME: "the last engine is ignited again",
+    RAIL_EXIT_NAME: "the last button leaves the launch rail",
     "booster_ignition": "a booster begins to burn; the text names it",
     "booster_burnout": "a booster burns out while it is attached; the text names it",
     "liftoff": "hold-down is released: thrust exceeds weight, or at holddown.release_s",

@@ -1,0 +1,202 @@
+"""Cutoffs at a speed or an apogee, the launch rail and the clearance to a tower, against closed forms.
+
+Flat or spherical Earths without air, constant thrust. The instant of a cutoff is extrapolated over at most 1.5 samples
+of 10 ms, hence the error of a quantity q is at most 1.5^2 samples^2 q'' / 2.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from flightkit import Tree, load, merged
+from scipy.optimize import minimize
+
+from maxq import Flight, ScenarioError
+from maxq.control.kernel.jit import from_python
+from maxq.sim.flight.launch import between
+from maxq.sim.run.fly import fly
+
+MASS_kg, FLOW_kgps, THRUST_N, G = 1000.0, 4.0, 20000.0, 9.80665
+SAMPLE_S = 0.01
+TREE: Tree = {
+    "schema": 1,
+    "vehicle": {
+        "reference": {"length_m": 6.0, "diameter_m": 1.0, "area_m2": 0.785},
+        "stage": [
+            {
+                "interpolation": "linear",
+                "mass": {
+                    "table": {
+                        "time_s": [0.0, 160.0],
+                        "mass_kg": [MASS_kg, MASS_kg - 160.0 * FLOW_kgps],
+                        "x_cg_m": [2.5] * 2,
+                        "Ixx_kgm2": [200.0] * 2,
+                        "Iyy_kgm2": [1500.0] * 2,
+                        "Izz_kgm2": [1500.0] * 2,
+                    }
+                },
+                "engine": {
+                    "table": {"time_s": [0.0, 150.0, 150.01], "thrust_vacuum_N": [THRUST_N, THRUST_N, 0.0]},
+                    "gimbal_station_m": 5.0,
+                    "exit_station_m": 6.0,
+                },
+            }
+        ],
+    },
+    "run": {"duration_s": 60.0, "step_s": SAMPLE_S, "stop_at": ["burnout"]},
+    "earth": {"shape": "flat", "rotating": False, "gravity": "uniform", "uniform_mps2": G},
+    "atmosphere": {"model": "vacuum"},
+    "log": {"fast_hz": 100.0, "slow_hz": 100.0, "transform_hz": 10.0},
+}
+CONSTANT: Tree = merged(
+    TREE["vehicle"]["stage"][0],
+    {
+        "mass": {"mass_kg": MASS_kg, "x_cg_m": 2.5, "inertia_kgm2": np.diag([200.0, 1500.0, 1500.0])},
+        "engine": {"table": {"time_s": [0.0], "thrust_vacuum_N": [THRUST_N]}},
+    },
+)
+del CONSTANT["mass"]["table"]
+
+
+def flown(changes: Tree) -> Flight:
+    return fly(load(merged(TREE, changes)))
+
+
+def constant(changes: Tree) -> Tree:
+    return merged({"vehicle": {"stage": [CONSTANT]}, "run": {"duration_s": 4.0, "stop_at": []}}, changes)
+
+
+def test_cutoff_at_a_speed_is_that_of_the_rocket_equation() -> None:
+    exhaust, wanted = THRUST_N / FLOW_kgps, 400.0
+    flight = flown({"guidance": {"cutoff": {"earth_speed_mps": wanted}}})
+    at_s = flight.event_s("burnout")
+    gained = exhaust * math.log(MASS_kg / (MASS_kg - FLOW_kgps * at_s)) - G * at_s
+    jerk = THRUST_N * FLOW_kgps / (MASS_kg - FLOW_kgps * at_s) ** 2
+    assert 25.0 < at_s < 45.0
+    assert gained == pytest.approx(wanted, abs=1.5**2 * SAMPLE_S**2 * jerk)
+    assert flight.metrics["cutoff_speed_error_mps"] == pytest.approx(abs(gained - wanted), abs=1e-7)
+    assert not flight.failures
+    late = flown({"guidance": {"cutoff": {"earth_speed_mps": 9e3}}, "run": {"duration_s": 151.0}})
+    assert late.failures == ("the engine burned out before the cutoff",)
+
+
+def test_inertial_speed_includes_the_rotation_and_apogee_is_where_the_flight_turns() -> None:
+    round_: Tree = {
+        "earth": {"shape": "wgs84", "rotating": True, "gravity": "inverse_square"},
+        "site": {"latitude_deg": 0.0},
+    }
+    del round_["site"]
+    tree = merged(TREE, {"guidance": {"cutoff": {"inertial_speed_mps": 700.0}}})
+    tree["earth"] = round_["earth"]
+    flight = fly(load(tree))
+    assert flight.metrics["cutoff_inertial_speed_mps"] == pytest.approx(700.0, abs=1e-4)
+    ground = 7.292115e-5 * (6378137.0 + flight.metrics["cutoff_altitude_m"])
+    over = flight.metrics["cutoff_speed_mps"]
+    assert over == pytest.approx(math.sqrt(700.0**2 - ground**2), rel=0.02)  # nearly vertical: Coriolis turns it
+    tree["guidance"] = {"cutoff": {"apogee_altitude_m": 40e3}}
+    tree["run"] = {"duration_s": 300.0, "step_s": SAMPLE_S, "stop_at": ["apogee"]}
+    flight = fly(load(tree))
+    assert flight.outcome == "apogee"
+    assert flight.metrics["cutoff_apogee_error_m"] < 0.5
+    assert flight.metrics["max_altitude_m"] == pytest.approx(40e3, abs=2.0)
+
+
+def test_rail_exit_speed_of_constant_thrust() -> None:
+    """v^2 = 2 L (F / m - g sin(elevation)); the rail holds the attitude against a side force and a torque."""
+    length, elevation, azimuth = 6.0, 75.0, 30.0
+    rail = {"length_m": length, "elevation_deg": elevation, "azimuth_deg": azimuth}
+    push = [
+        {"at": "body_force", "axis": "y", "kind": "step", "amplitude_N": 3000.0},
+        {"at": "body_torque", "axis": "z", "kind": "step", "amplitude_Nm": 500.0},
+    ]
+    flight = flown(constant({"rail": rail, "injection": push}))
+    accel = THRUST_N / MASS_kg - G * math.sin(math.radians(elevation))
+    assert flight.metrics["rail_exit_speed_mps"] == pytest.approx(math.sqrt(2.0 * length * accel), rel=1e-9)
+    exit_s = flight.event_s("rail_exit")
+    assert exit_s == pytest.approx(math.sqrt(2.0 * length / accel), abs=2e-9)
+    t = flight.time_s("r_E_x_m")
+    on = t <= exit_s
+    place = np.stack([flight[f"r_E_{axis}_m"] for axis in "xyz"], axis=1)
+    level, up = math.cos(math.radians(elevation)), math.sin(math.radians(elevation))
+    along = np.array([level * math.cos(math.radians(azimuth)), level * math.sin(math.radians(azimuth)), -up])
+    np.testing.assert_allclose(place[on], 0.5 * accel * t[on, None] ** 2 * along, atol=1e-9)
+    assert np.ptp(flight["pitch_deg"][on]) < 1e-9
+    late = t - exit_s > 0.5
+    turned = np.linalg.norm(np.stack([flight[f"w_BI_B_{axis}_radps"][late] for axis in "yz"]), axis=0)
+    np.testing.assert_allclose(turned, 500.0 / 1500.0 * (t[late] - exit_s), rtol=1e-6)  # free from the exit on
+
+
+def test_a_rail_turns_with_the_earth() -> None:
+    tree = merged(TREE, constant({"rail": {"length_m": 20.0, "elevation_deg": 80.0}, "run": {"duration_s": 3.0}}))
+    tree["earth"] = {"shape": "wgs84", "gravity": "j2"}
+    tree["site"] = {"latitude_deg": 40.0, "longitude_deg": 10.0, "azimuth_deg": 90.0}
+    flight = fly(load(tree))
+    on = flight.time_s("r_E_x_m") <= flight.event_s("rail_exit")
+    place = np.stack([flight[f"r_E_{axis}_m"][on] for axis in "xyz"], axis=1)
+    moved = place[-1] - place[0]
+    latitude, longitude = math.radians(40.0), math.radians(10.0)
+    east = np.array([-math.sin(longitude), math.cos(longitude), 0.0])
+    up = np.array(
+        [math.cos(latitude) * math.cos(longitude), math.cos(latitude) * math.sin(longitude), math.sin(latitude)]
+    )
+    along = math.cos(math.radians(80.0)) * east + math.sin(math.radians(80.0)) * up
+    off = (place - place[0]) - np.outer((place - place[0]) @ along, along)
+    assert np.linalg.norm(moved) > 19.0
+    assert np.abs(off).max() < 1e-7  # 6.4e6 m to rounding
+
+
+def test_clearance_and_drift_at_a_tower() -> None:
+    """A side force F at the CG: the tail is F / (T - m g) of its height off the pad."""
+    side, height, distance = 900.0, 30.0, 4.0
+    push = [{"at": "body_force", "axis": "z", "kind": "step", "amplitude_N": side}]
+    tower = {"distance_m": distance, "azimuth_deg": 90.0, "height_m": height, "radius_m": 0.4, "vehicle_radius_m": 0.7}
+    limits = [{"metric": "min_tower_clearance_m", "minimum": 0.5}, {"metric": "max_tower_drift_m", "limit": 2.0}]
+    near = constant({"injection": push, "tower": tower, "requirement": limits, "run": {"step_s": 0.001}})
+    flight = flown(near)
+    slope = side / (THRUST_N - MASS_kg * G)
+    one_step_m = slope * 0.001 * math.sqrt(2.0 * height * (THRUST_N / MASS_kg - G))  # last step below the top
+    assert flight.metrics["max_tower_drift_m"] == pytest.approx(slope * height, abs=one_step_m)
+    least = distance - slope * height - 0.4 - 0.7
+    assert flight.metrics["min_tower_clearance_m"] == pytest.approx(least, abs=one_step_m)
+    assert [v.met for v in flight.verdicts] == [least >= 0.5, slope * height <= 2.0]
+    cleared_s = math.sqrt(2.0 * height / (THRUST_N / MASS_kg - G))
+    assert flight.metric_times_s["min_tower_clearance_m"] == pytest.approx(cleared_s, abs=0.0011)
+    away = flown(merged(near, {"tower": tower | {"azimuth_deg": 0.0}}))  # the drift passes it at a right angle
+    assert away.metrics["min_tower_clearance_m"] == pytest.approx(distance - 1.1, abs=1e-6)
+
+
+def test_distance_of_lines_is_the_least_of_all_pairs_of_points() -> None:
+    rng, distance = np.random.default_rng(3), from_python(between)
+    up = np.array([0.6, 0.0, 0.8])
+    for _ in range(40):
+        tail, nose, foot = rng.normal(size=(3, 3)) * 3.0
+        height = float(rng.uniform(0.1, 5.0))
+
+        def apart(x: np.ndarray, tail=tail, nose=nose, foot=foot, height=height) -> float:  # type: ignore[no-untyped-def]
+            return float(np.sum((tail + x[0] * (nose - tail) - foot - x[1] * height * up) ** 2))
+
+        least = minimize(apart, [0.5, 0.5], bounds=[(0, 1), (0, 1)], method="L-BFGS-B", options={"ftol": 1e-15})
+        found = distance(tuple(tail), tuple(nose), tuple(foot), tuple(up), height)
+        assert found == pytest.approx(math.sqrt(least.fun), abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"rail": {"length_m": 5.0, "elevation_deg": 85.0}, "initial": {"held": False}}, "begins in the air"),
+        (
+            {"rail": {"length_m": 5.0, "elevation_deg": 85.0}, "initial": {"held": True, "euler_deg": [0, 90, 0]}},
+            "sets the attitude",
+        ),
+        ({"tower": {"distance_m": 0.4, "azimuth_deg": 0.0, "height_m": 9.0}}, "above 0.5"),
+        ({"requirement": [{"metric": "min_tower_clearance_m", "minimum": 1.0}]}, "does not measure it"),
+        ({"requirement": [{"metric": "cutoff_speed_error_mps", "limit": 1.0}]}, "guidance.orbit or guidance.cutoff"),
+        ({"guidance": {"cutoff": {"apogee_altitude_m": 1e5}}}, "there are no orbits"),
+        ({"guidance": {"cutoff": {"earth_speed_mps": 1e3, "inertial_speed_mps": 1e3}}}, "inertial_speed_mps"),
+    ],
+)
+def test_launches_that_cannot_be(changes: Tree, said: str) -> None:
+    with pytest.raises(ScenarioError, match=said):
+        load(merged(TREE, changes))

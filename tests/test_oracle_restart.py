@@ -1,0 +1,269 @@
+"""Several burns of one engine, against Hohmann's transfer, Kepler's equation and SciPy.
+
+| what is checked | against |
+|---|---|
+| speed gained by each burn (rocket equation from the log's mass) | Hohmann's two impulses |
+| coast | conserved energy and angular momentum; SciPy's DOP853 from cutoff to restart |
+| instant of the restart | apogee found by SciPy; mean anomaly of a state made from it |
+| propellant | thrust over exhaust speed times the time of both burns; nothing leaves in the coast |
+| settling | a bob that swung in the coast hangs in line with the thrust |
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from flightkit import Tree, load, merged, with_stage
+from scipy.integrate import solve_ivp
+
+from maxq import Flight, ScenarioError
+from maxq.control.burns import to_apogee_s
+from maxq.control.kernel.jit import from_python
+from maxq.control.kernel.records import Array
+from maxq.design.verify.uncovered import uncovered
+from maxq.sim.run.fly import fly
+
+MU, RADIUS_m = 3.986004418e14, 6378137.0
+LOW_m, HIGH_m = RADIUS_m + 300e3, RADIUS_m + 1000e3
+THRUST_N, FLOW_kgps, ARM_s = 16000.0, 5.0, 14.0
+EXHAUST_mps = THRUST_N / FLOW_kgps
+STAGE: Tree = {
+    "ignition_s": 1.0,
+    "interpolation": "linear",
+    "mass": {
+        "table": {
+            "time_s": [0.0, 1.0, 211.0],
+            "mass_kg": [2000.0, 2000.0, 950.0],
+            "x_cg_m": [2.0] * 3,
+            "Ixx_kgm2": [200.0] * 3,
+            "Iyy_kgm2": [1500.0] * 3,
+            "Izz_kgm2": [1500.0] * 3,
+        }
+    },
+    "engine": {
+        "table": {"time_s": [0.0, 201.0, 201.01], "thrust_vacuum_N": [THRUST_N, THRUST_N, 0.0]},
+        "gimbal_station_m": 4.0,
+        "exit_station_m": 5.0,
+    },
+    "roll_thrusters": {"torque_Nm": 20.0, "pitch_yaw_torque_Nm": 40.0},
+}
+TREE: Tree = {
+    "schema": 1,
+    "vehicle": {
+        "reference": {"length_m": 5.0, "diameter_m": 1.0, "area_m2": 0.785},
+        "stage": [STAGE],
+        "computer": {
+            "sample_s": 0.01,
+            "delay_s": 0.0,
+            "count_rad": 0.0,
+            "angle_error_limit_deg": 20.0,
+            "command_limit_deg": 6.0,
+        },
+    },
+    "design": {
+        "law": "pd",
+        "gains": {"table": {"time_s": [0.0], "k_p": [1.0], "k_d_s": [1.0]}},
+        "filter": {"structure": "none"},
+        "roll": {"k_rate_s": 2.0, "dead_band_deg": 0.5, "hysteresis_deg": 0.1, "minimum_on_s": 0.02},
+    },
+    "run": {"duration_s": 3000.0, "step_s": 0.01, "stop_at": []},
+    "earth": {
+        "shape": "sphere",
+        "sphere_radius_m": RADIUS_m,
+        "gravity": "inverse_square",
+        "mu_m3ps2": MU,
+        "rotating": False,
+    },
+    "atmosphere": {"model": "vacuum"},
+    "initial": {
+        "inertial_m": [LOW_m, 0.0, 0.0],
+        "inertial_mps": [0.0, math.sqrt(MU / LOW_m), 0.0],
+        "dcm_BI": [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]],
+        "rate_BI_degps": [0.0, 0.0, 0.0],
+    },
+    "guidance": {
+        "cutoff": {"apogee_altitude_m": 1000e3},
+        "restart": [
+            {
+                "before_apogee_s": ARM_s,
+                "orbit": {"perigee_altitude_m": 1000e3, "apogee_altitude_m": 1000e3, "isp_s": EXHAUST_mps / 9.80665},
+            }
+        ],
+    },
+    "log": {"fast_hz": 1.0, "slow_hz": 1.0, "transform_hz": 1.0},
+}
+
+
+@cache
+def flight() -> Flight:
+    return fly(load(TREE))
+
+
+def states(flown: Flight) -> Array:
+    names = [f"{of}_{axis}_{unit}" for of, unit in (("r_I", "m"), ("v_I", "mps")) for axis in "xyz"]
+    return np.stack([flown[name] for name in names], axis=1)
+
+
+def coasting(flown: Flight) -> Array:
+    t = flown.time_s("mass_kg")
+    return (t > flown.event_s("cutoff")) & (t < flown.event_s("restart"))
+
+
+def kepler(_: float, y: Array) -> Array:
+    return np.concatenate([y[3:], -MU / np.linalg.norm(y[:3]) ** 3 * y[:3]])
+
+
+@pytest.mark.slow
+def test_two_burns_are_hohmanns_transfer() -> None:
+    """A burn over the angle a from the apsis loses at most a^2 / 6 of its impulse: 24 s are 0.028 rad."""
+    flown, axis_m = flight(), 0.5 * (LOW_m + HIGH_m)
+    ends = (math.sqrt(MU / LOW_m), math.sqrt(MU * (2.0 / LOW_m - 1.0 / axis_m)))
+    high = (math.sqrt(MU * (2.0 / HIGH_m - 1.0 / axis_m)), math.sqrt(MU / HIGH_m))
+    mass = flown["mass_kg"]
+    between_kg = mass[coasting(flown)][0]
+    gained = EXHAUST_mps * math.log(mass[0] / between_kg), EXHAUST_mps * math.log(between_kg / mass[-1])
+    assert gained[0] == pytest.approx(ends[1] - ends[0], rel=2e-3)
+    assert gained[1] == pytest.approx(high[1] - high[0], rel=2e-3)
+    assert not flown.failures
+    assert flown.metrics["perigee_altitude_m"] == pytest.approx(1000e3, abs=300.0)
+    assert flown.metrics["apogee_altitude_m"] == pytest.approx(1000e3, abs=300.0)
+    assert flown.metrics["cutoff_perigee_error_m"] == pytest.approx(
+        abs(flown.metrics["perigee_altitude_m"] - 1000e3), abs=1.0
+    )
+
+
+@pytest.mark.slow
+def test_the_coast_conserves_energy_and_ends_before_the_apogee() -> None:
+    flown = flight()
+    y = states(flown)[coasting(flown)]
+    r, v = y[:, :3], y[:, 3:]
+    energy = 0.5 * (v * v).sum(axis=1) - MU / np.linalg.norm(r, axis=1)
+    momentum = np.cross(r, v)
+    assert np.ptp(energy) < 1e-9 * abs(energy[0])
+    assert np.ptp(momentum[:, 2]) < 1e-9 * abs(momentum[0, 2])
+    t = flown.time_s("mass_kg")[coasting(flown)]
+    apogee = lambda _, y: y[:3] @ y[3:]  # noqa: E731
+    apogee.terminal, apogee.direction = True, -1.0
+    found = solve_ivp(kepler, (t[0], 4000.0), y[0], method="DOP853", rtol=1e-12, atol=1e-6, events=apogee, t_eval=t)
+    assert np.abs(found.y.T - y).max() < 0.02
+    assert found.t_events[0][0] - flown.event_s("restart") == pytest.approx(ARM_s, abs=2e-3)
+    assert np.linalg.norm(found.y_events[0][0][:3]) == pytest.approx(HIGH_m, abs=20.0)  # the first burn's cutoff
+
+
+@pytest.mark.slow
+def test_propellant_leaves_in_the_burns_only_and_thrusters_turn_the_vehicle() -> None:
+    flown = flight()
+    mass, coast = flown["mass_kg"], coasting(flown)
+    assert np.ptp(mass[coast]) == 0.0
+    assert not flown["mass_flow_kgps"][coast].any()
+    first_s = flown.event_s("cutoff") - flown.event_s("ignition")
+    second_s = flown.event_s("burnout") - flown.event_s("restart")
+    assert mass[0] - mass[-1] == pytest.approx(FLOW_kgps * (first_s + second_s), abs=1e-6)
+    assert [e.name for e in flown.events if e.name != "apogee"] == ["ignition", "cutoff", "restart", "burnout"]
+    y = states(flown)[coast][-1]  # half a revolution later the vehicle still points along its motion
+    forward = np.cross(np.cross(y[:3], y[3:]), y[:3])
+    q = [flown[f"q_BI_{part}"][coast][-1] for part in "wxyz"]
+    nose = np.array(
+        [1.0 - 2.0 * (q[2] ** 2 + q[3] ** 2), 2.0 * (q[1] * q[2] + q[0] * q[3]), 2.0 * (q[1] * q[3] - q[0] * q[2])]
+    )
+    off_deg = math.degrees(math.acos(nose @ forward / np.linalg.norm(forward)))
+    assert off_deg < 1.0  # dead band of 0.5 deg in pitch and in yaw
+    assert y[:3] @ [1.0, 0.0, 0.0] < -0.9 * HIGH_m
+
+
+def test_time_to_apogee_is_keplers() -> None:
+    solve, axis_m, eccentricity = from_python(to_apogee_s), 8.0e6, 0.1
+    period_s = 2.0 * math.pi * math.sqrt(axis_m**3 / MU)
+    for anomaly in (-3.0, -1.0, 0.0, 0.5, 2.0, 3.0):
+        x = axis_m * (math.cos(anomaly) - eccentricity), axis_m * math.sqrt(1 - eccentricity**2) * math.sin(anomaly)
+        rate = math.sqrt(MU / axis_m**3) / (1.0 - eccentricity * math.cos(anomaly))
+        v = -axis_m * rate * math.sin(anomaly), axis_m * rate * math.sqrt(1 - eccentricity**2) * math.cos(anomaly)
+        mean = anomaly - eccentricity * math.sin(anomaly)
+        left_s = (math.pi - mean) / (2.0 * math.pi) * period_s
+        assert solve(MU, (*x, 0.0), (*v, 0.0)) == pytest.approx(left_s, rel=1e-12)
+    assert solve(MU, (7e6, 0.0, 0.0), (0.0, 12e3, 0.0)) == math.inf
+
+
+TANK: Tree = {
+    "table": {
+        "time_s": [0.0, 300.0],
+        "slosh_mass_kg": [200.0, 200.0],
+        "pendulum_length_m": [0.4, 0.4],
+        "hinge_station_m": [1.5, 1.5],
+    },
+    "damping_ratio": 0.1,
+}
+
+
+def settled_deg(settling_s: float) -> float:
+    """Largest angle of the bob in the second burn, after a coast in which the vehicle turned by 45 deg."""
+    coast: dict[str, Any] = {"coast_s": 100.0, "settling_s": settling_s, "settling_thrust_N": 400.0}
+    last = {"cutoff": {"inertial_speed_mps": 7900.0}}
+    k = math.sqrt(0.5)
+    turned = {"dcm_BI": [[k, k, 0.0], [0.0, 0.0, 1.0], [k, -k, 0.0]]}
+    tree = merged(TREE, {"run": {"duration_s": 130.0}, "guidance": {"restart": [coast | last]}})
+    tree["guidance"]["cutoff"] = {"inertial_speed_mps": 7760.0}
+    tree["initial"] = {k: v for k, v in tree["initial"].items() if k != "dcm_BI"} | turned
+    flown = fly(load(with_stage(tree, tank=[TANK])))
+    t = flown.time_s("slosh_1_yaw_deg")
+    angles = np.hypot(flown["slosh_1_yaw_deg"], flown["slosh_1_pitch_deg"])
+    return float(angles[t >= flown.event_s("restart")][0])
+
+
+@pytest.mark.slow
+def test_settling_thrust_brings_the_liquid_aft() -> None:
+    """0.2 m/s2 on a pendulum of 0.4 m: a period of 9 s, and 80 s of it damp by exp(-0.1 0.71 80) = 0.003."""
+    assert settled_deg(80.0) < 1.0
+    assert settled_deg(0.0) > 5.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("coast_s", [9.99, 10.0, 10.03, 10.07])
+def test_a_restart_at_the_instant_of_a_sample_happens_once(coast_s: float) -> None:
+    """The first cutoff is due at the ignition, on a sample; rounding puts the restart before or behind another one."""
+    last = {"coast_s": coast_s, "cutoff": {"inertial_speed_mps": 7760.0}}
+    ends = {"cutoff": {"inertial_speed_mps": 7000.0}, "restart": [last]}
+    flown = fly(load(merged({**TREE, "guidance": ends}, {"run": {"duration_s": 20.0}})), log=False)
+    assert [e.name for e in flown.events if e.name != "apogee"] == ["ignition", "cutoff", "restart", "burnout"]
+    assert flown.event_s("restart") - flown.event_s("cutoff") == pytest.approx(coast_s, abs=3e-9)
+    burned_s = flown.event_s("burnout") - flown.event_s("restart")
+    gained = EXHAUST_mps * math.log(2000.0 / (2000.0 - FLOW_kgps * burned_s))
+    assert gained == pytest.approx(7760.0 - math.sqrt(MU / LOW_m), abs=0.2)  # nearly along the motion
+    assert flown.metrics["cutoff_speed_error_mps"] < 1e-4
+    assert not flown.failures
+
+
+@pytest.mark.slow
+def test_burns_after_a_restart_are_listed_as_not_covered() -> None:
+    found = uncovered(load(TREE), {0: [2.0, 23.0]})
+    assert found[-1].begin_s == pytest.approx(flight().event_s("cutoff"), abs=1e-9)
+    assert (found[-1].end_s, found[-1].why) == (3000.0, "burns after a restart, no operating point")
+    assert found[-2].end_s == found[-1].begin_s  # the first burn ends there
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"guidance": {"restart": [{"coast_s": 10.0}] * 4}}, "restart"),
+        ({"guidance": {"restart": [{"coast_s": 10.0}, {"coast_s": 5.0}]}}, "another burn follows"),
+        ({"guidance": {"restart": [{}]}}, "when it begins"),
+        ({"guidance": {"restart": [{"coast_s": 10.0, "before_apogee_s": 5.0}]}}, "before_apogee_s"),
+        ({"guidance": {"cutoff": {}}}, "names no quantity"),
+        ({"guidance": {"cutoff": {"earth_speed_mps": 7e3}}}, "apogee_altitude_m"),
+        ({"design": {"roll": None}}, "nothing switches the thrusters"),
+        ({"vehicle": {"stage": [STAGE | {"roll_thrusters": {"torque_Nm": 20.0}}]}}, "pitch_yaw_torque_Nm"),
+        ({"earth": {"gravity": "uniform"}}, "there are no orbits"),
+    ],
+)
+def test_burns_that_cannot_be(changes: Tree, said: str) -> None:
+    tree = merged(TREE, changes)
+    if tree["design"].get("roll") is None:
+        del tree["design"]["roll"]
+    if said == "names no quantity":
+        tree["guidance"]["cutoff"] = {}
+    with pytest.raises(ScenarioError, match=said):
+        load(tree)

@@ -1,0 +1,32 @@
+"""The launch azimuth for an orbit of a given inclination."""
+
+from __future__ import annotations
+
+import math
+
+from maxq.sim.world import earth
+
+
+def geocentric_rad(latitude_deg: float) -> float:
+    """Return the geocentric latitude of a place on the ellipsoid with this geodetic latitude."""
+    return math.atan((1.0 - earth.WGS84_FLATTENING) ** 2 * math.tan(math.radians(latitude_deg)))
+
+
+def launch_azimuth_deg(
+    latitude_deg: float, inclination_deg: float, perigee_m: float, apogee_m: float, *, southwards: bool = False
+) -> float:
+    """Return the azimuth over the rotating Earth, deg from north, of a launch to an orbit (radii in m).
+
+    The velocity at perigee in the plane of the orbit, sin(azimuth) = cos i / cos(latitude), less that of the ground.
+    Source: Skopinski & Johnson, NASA TN D-233 (1960). The Earth is a sphere, with the geocentric latitude of the site.
+    Raises ValueError if no plane through the site has this inclination.
+    """
+    cos_latitude = math.cos(geocentric_rad(latitude_deg))
+    sine = math.cos(math.radians(inclination_deg)) / cos_latitude
+    if abs(sine) > 1.0:
+        least = abs(math.degrees(geocentric_rad(latitude_deg)))
+        raise ValueError(f"{least:.4g} to {180.0 - least:.4g}, from the site's geocentric latitude")
+    speed = math.sqrt(earth.WGS84_MU_m3ps2 * (2.0 / perigee_m - 2.0 / (perigee_m + apogee_m)))
+    east = speed * sine - earth.WGS84_RATE_radps * perigee_m * cos_latitude
+    north = speed * math.sqrt(1.0 - sine * sine) * (-1.0 if southwards else 1.0)
+    return math.degrees(math.atan2(east, north))
