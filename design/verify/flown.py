@@ -6,7 +6,7 @@ import json
 import math
 import random
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.verify import suite
 from maxq.design.verify.memory import PartsOnDisk, code_hash, content_hash, counted
 from maxq.design.verify.suite import CampaignWanted, JudgedRequirement, LoadedSuite, SuiteFlight, judgement_of
-from maxq.sim.campaign.analysis import DataSet, Judged, Lost, judged, lost
+from maxq.sim.campaign.analysis import DataSet, Judged, Lost, finer_runs, judged, lost
 from maxq.sim.campaign.availability import Month, availability
 from maxq.sim.campaign.investigation import differing
 from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
@@ -184,6 +184,7 @@ class CampaignResult:
     months: tuple[Month, ...] = ()
     availability: float | None = None  # that is required in each of them
     fixed: bool = True  # the number of runs was recorded beforehand
+    finer: Mapping[int, int] = field(default_factory=dict)  # halvings of the step by run (`finer_runs`)
     recalled: int = 0  # runs that an earlier verification had flown
     reflown: tuple[int, ...] = ()  # of these, flown again and compared
     differing: tuple[str, ...] = ()
@@ -257,6 +258,7 @@ def result_of(wanted: CampaignWanted, loaded: LoadedCampaign, folder: Path, stop
         tuple(availability(data)),
         wanted.availability,
         data.planned is not None and data.planned == data.in_order,
+        finer_runs(data),
     )
 
 

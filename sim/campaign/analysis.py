@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -49,6 +49,7 @@ _KEPT_RUNS = 100_000  # 80 MB or so with a hundred columns
 _WORST = 10  # flights that are named for each requirement
 _MOST_RUNS = 20_000  # runs of a sensitivity: more do not change the digits shown
 _FEWEST_RUNS = 30
+_FINER = 12  # runs with a finer step that are named in a line; summary.json names all
 _SHUFFLES = 8
 
 
@@ -308,6 +309,22 @@ def redraws(data: DataSet) -> tuple[int, int]:
     return int(count.sum()), int((count > 0).sum())
 
 
+def finer_runs(data: DataSet) -> dict[int, int]:
+    """Return the halvings of the step by run, for the runs that were flown again for their integration errors."""
+    halvings, given = data.numbers("halvings").astype(int), data.campaign.base.scenario.run.halvings
+    return {int(data.runs[i]): int(halvings[i]) for i in np.flatnonzero(halvings > given)}
+
+
+def finer_text(runs: Mapping[int, int]) -> str:
+    """Return the runs of `finer_runs` and their steps in a line, or an empty text without any."""
+    if not runs:
+        return ""
+    named = [f"{run} (1/{2**count})" for run, count in list(runs.items())[:_FINER]]
+    more = [f"and {len(runs) - _FINER} more"] * (len(runs) > _FINER)
+    what = "run" if len(runs) == 1 else "runs"
+    return f"{what} flown again with a share of the step, to reduce integration errors: {', '.join(named + more)}"
+
+
 def summary_of(
     data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], wanted: int, further: dict[str, Any]
 ) -> dict[str, Any]:
@@ -329,6 +346,7 @@ def summary_of(
         "outcomes": dict(sorted(Counter(data.outcomes).items())),
         "failed_runs": len(failed_runs(data)),
         "redraws": {"draws": drawn, "runs": in_runs},
+        "finer_runs": {str(run): count for run, count in finer_runs(data).items()},
         "warnings": data.campaign.warnings,
         "requirements": verdicts,
         "lost": losses,

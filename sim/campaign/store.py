@@ -37,7 +37,7 @@ from maxq.sim.run.record import versions
 MOST_BYTES = 1 << 32
 """The largest size of a file of the data set in memory: a thousand runs take a megabyte."""
 MANIFEST, RUNS, HISTORIES, LOCK = "campaign.json", "runs", "histories", "lock"
-LAYOUT = 1
+LAYOUT = 2
 _NOT_IDENTITY = tuple(f"campaign.{key}" for key in ("runs", "batch", "keep", "success", "confidence"))
 _WORDS = ("name", "description", "source", "file")
 """The keys that change nothing in a flight."""

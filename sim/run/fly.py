@@ -41,7 +41,7 @@ from maxq.sim.run.metrics import end_metrics, judge, orbit_metrics, section_extr
 from maxq.sim.run.quantities import propellant_text
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
-from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_scenario import MOST_HALVINGS, Scenario
 from maxq.sim.vehicle.state import CAUSES, R_I, V_I, Sizes, state_names
 
 if TYPE_CHECKING:
@@ -337,7 +337,7 @@ class FlightRun:
         if scenario.design is None or scenario.vehicle.computer is None:  # no control: there is no attitude error
             metrics |= dict.fromkeys(ATTITUDE_METRICS, math.nan)
             judged = tuple(r for r in judged if r.metric not in ATTITUDE_METRICS)
-        inexact = step_failure(accuracy, metrics, judged) if accuracy is not None else ""
+        inexact = step_failure(scenario.run, metrics, judged)
         failed = [e for e in events if e.name in (CONTROL_LOST_NAME, DIVERGED_NAME, SOFTWARE_NAME)]
         return Flight(
             scenario=self.loaded,
@@ -354,6 +354,7 @@ class FlightRun:
                 *_above_the_wind(scenario, metrics["max_altitude_m"]),
                 *self._missed_orbit(),
             ),
+            inexact=bool(inexact and not failed),
             outcome=outcome,
             cause=next((e.detail for e in failed if e.name == outcome), ""),
             end_s=self.now_s,
@@ -422,6 +423,18 @@ def fly(
         if watch is not None:
             watch(run, rows)
     return run.result(kept.rows() if log else None)
+
+
+def with_half_step(flight: Flight) -> LoadedScenario | None:
+    """Return the scenario of an inexact flight with half the step, or None for another flight and after MOST_HALVINGS.
+
+    The scenario follows from the flight's inputs alone, so that a repetition has the same step.
+    """
+    loaded, run = flight.scenario, flight.scenario.scenario.run
+    if not flight.inexact or flight.outcome == "interrupted" or run.halvings >= MOST_HALVINGS:
+        return None
+    finer = run.model_copy(update={"halvings": run.halvings + 1})
+    return replace(loaded, scenario=loaded.scenario.model_copy(update={"run": finer}))
 
 
 def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:

@@ -23,6 +23,7 @@ from maxq.design.verify.results import Results
 from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED, JudgedRequirement
 from maxq.design.verify.verify import Verification
 from maxq.design.verify.worst import WorstVehicle
+from maxq.sim.campaign.analysis import finer_text
 from maxq.sim.campaign.statistics import MET
 from maxq.sim.files import plain_name, write_whole
 from maxq.sim.flight.metric_table import unit_of
@@ -106,6 +107,7 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
         board_tables=board_tables(found),
         record_lines=record_lines(found),
         tank_name=tank_name,
+        finer_text=finer_text,
         signed=signed,
         gain_heads=GAIN_HEADS,
         summary=_summary(found),
@@ -277,6 +279,7 @@ def report(found: Verification, title: str) -> list[str]:
     return [
         title,
         *map(printable, (*record_lines(found), *waiver_lines(found))),
+        *(f"{printable(c.name)}: {text}" for c in found.campaigns if (text := finer_text(c.finer))),
         *baseline_lines(found),
         *([printable(from_here(found.deviations))] if found.deviations else []),
         "",
@@ -410,7 +413,15 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "authority": [vars(a) for a in found.authority],
         "worst": [_worst(w) for w in found.worst],
         "slosh": [vars(a) | {"in_band": a.in_band} for a in found.slosh],
-        "campaigns": [{"name": c.name, "runs": c.runs, "folder": str(c.folder)} for c in found.campaigns],
+        "campaigns": [
+            {
+                "name": c.name,
+                "runs": c.runs,
+                "folder": str(c.folder),
+                "finer_runs": {str(k): n for k, n in c.finer.items()},
+            }
+            for c in found.campaigns
+        ],
         "hashes": found.hashes,
         "versions": found.versions,
         "parts": {"recalled": found.recalled, "worked_out": found.worked_out},
