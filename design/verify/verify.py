@@ -250,7 +250,7 @@ def verify(
     kept = PartsOnDisk(memory)
     prepared = prepare(design, loaded, vehicle, kept, candidate)
     entry, name = prepared.entry(), prepared.scenario.vehicle.name
-    lines = ledger.known_lines(ledger.ledger_path(name))
+    lines = ledger.lines_of(ledger.read_lines(ledger.ledger_path())[0], name, entry["hashes"]["vehicle"])
     drawn = seeds.chosen(prepared.seeds, lines, entry["hashes"]["design"])
     attempt = ledger.begin(name, entry)
     found = _verify(replace(prepared, seeds=drawn), attempt, kept, memory, watch, stop, workers, sample)

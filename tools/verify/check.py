@@ -150,7 +150,7 @@ def _ledger(folder: Path, record: dict[str, Any], found: Findings) -> None:
         f"ledger of attempts: {text}",
         "ledger of attempts: its copy in the pack does not contain this attempt, its number or its verdict",
     )
-    if lines and (own := ledger.ledger_path(lines[0].get("vehicle", ""))).exists():
+    if lines and (own := ledger.ledger_path()).exists():
         here = {line["hash"] for line in ledger.read_lines(own)[0]}
         lost = len(set(hashes) - here)
         if here & set(hashes):
@@ -190,8 +190,7 @@ def _opened(folder: Path, record: dict[str, Any], given: dict[str, Any]) -> Pack
     entry = prepared.entry()
     if begun is None:  # which is a difference
         return Pack(folder, record, prepared, entry, ledger.Attempt(line={"date": "", "hash": ""}), bool(given))
-    before = lines[: lines.index(begun)]
-    known = [line for line in before if line.get("state") in (ledger.BEGUN, ledger.REGISTERED)]
+    known = ledger.lines_of(lines[: lines.index(begun)], begun["vehicle"], begun["hashes"]["vehicle"])
     drawn = seeds.chosen(prepared.seeds, known, entry["hashes"]["design"])
     attempt = ledger.attempt_of(begun, lines, damage)
     return Pack(folder, record, replace(prepared, seeds=drawn), entry, attempt, bool(given))

@@ -127,14 +127,15 @@ def _register(designs: Sequence[str], loaded: suites.LoadedSuite, vehicle: str |
     for design in designs:
         prepared = prepare(design, loaded, vehicle, memory.PartsOnDisk(memory.default_folder()))
         name, vehicle_hash = prepared.scenario.vehicle.name, prepared.entry()["hashes"]["vehicle"]
-        path = ledger.ledger_path(name)
+        path = ledger.ledger_path()
         try:
-            line = seeds.registered(prepared.seeds, ledger.known_lines(path), vehicle_hash)
+            known = ledger.lines_of(ledger.read_lines(path)[0], name, vehicle_hash)
+            line = seeds.registered(prepared.seeds, known, vehicle_hash)
         except ValueError as error:
             raise CommandError(str(error)) from None
         if not line["seeds"]:
             raise CommandError("no seed is chosen by hand; give one, such as --set campaign.0.seed=7")
-        ledger.append(path, line)
+        ledger.append(path, {"vehicle": name, **line})
         tell(f"registered for {name}: " + ", ".join(f"seed {value} of {of}" for of, value in line["seeds"].items()))
     return Exit.OK
 
