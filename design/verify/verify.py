@@ -17,7 +17,6 @@ from typing import Any
 
 from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.certificate.in_flight import InFlightResponse
-from maxq.design.certificate.measured_only import MeasuredNode
 from maxq.design.model.powered import loss_text, powered_flight, powered_spans
 from maxq.design.quantities import LoopLimits
 from maxq.design.verify import board_findings, flown, ledger, linear, seeds
@@ -28,7 +27,6 @@ from maxq.design.verify.floor import Evidence, computers_of, missing_evidence
 from maxq.design.verify.memory import PartsOnDisk, code_hash, content_hash
 from maxq.design.verify.parts import Parts, Watch
 from maxq.design.verify.results import Results
-from maxq.design.verify.slosh import SloshAdvice
 from maxq.design.verify.suite import (
     ACCEPTED,
     AS_DESIGNED,
@@ -44,9 +42,8 @@ from maxq.design.verify.suite import (
     overall,
     read_suite,
 )
-from maxq.design.verify.uncovered import Uncovered
 from maxq.design.verify.waivers import apply_waivers
-from maxq.design.verify.worst import WorstVehicle, worst_requirements
+from maxq.design.verify.worst import worst_requirements
 from maxq.sim.campaign.read import LoadedCampaign, description_of
 from maxq.sim.campaign.runner import CampaignProgress
 from maxq.sim.files import FileError
@@ -77,16 +74,8 @@ class Verification:
     suite: Suite
     scenario: LoadedScenario = field(repr=False)
     requirements: tuple[JudgedRequirement, ...]
-    flights: tuple[flown.FlownResult, ...] = field(repr=False)
-    margins: tuple[linear.MarginStudy, ...] = field(repr=False)
-    certificates: tuple[NodeCertificate, ...] = field(repr=False)
-    in_flight: tuple[InFlightResponse, ...] = field(repr=False)
+    results: Results = field(repr=False)
     campaigns: tuple[flown.CampaignResult, ...] = field(repr=False)
-    authority: tuple[linear.Authority, ...] = field(repr=False)
-    slosh: tuple[SloshAdvice, ...] = field(repr=False)
-    worst: tuple[WorstVehicle, ...] = field(repr=False)
-    measured: tuple[MeasuredNode, ...] = field(repr=False)  # of flight code without a linear model
-    uncovered: tuple[Uncovered, ...]  # intervals of the flight of the operating points without any
     left_out: tuple[str, ...]  # of the suite, for parts that the vehicle does not have
     missing_evidence: tuple[str, ...]  # below the floor of an acceptance (`floor`)
     compared: Compared  # the suite with its baseline
@@ -388,7 +377,7 @@ def conclude(
         suite,
         scenario,
         tuple(requirements),
-        **vars(results),
+        results=results,
         campaigns=tuple(campaigns),
         left_out=loaded.left_out,
         missing_evidence=missing,
