@@ -6,6 +6,7 @@ import json
 import math
 import random
 import shlex
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -35,6 +36,7 @@ from maxq.sim.scenario.schema_scenario import LogSection
 
 KEPT = ("gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg", "error_pitch_deg", "error_yaw_deg")
 KEPT_HZ = 20.0
+_POLL_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -222,9 +224,11 @@ def fly_campaign(
     stop: Callable[[], bool],
     afresh: bool,
     sample: int = 0,
+    wait: Callable[[str], None] = lambda who: None,
 ) -> CampaignResult:
     """Fly the missing runs of a campaign, or all of them into a new folder.
 
+    If another process flies this campaign, its runs are shared: `wait` is called with its name a few times a second.
     `sample` is the number of earlier runs that are flown again and compared. Raises ScenarioError, CampaignError.
     """
     loaded = load_wanted(loaded_suite, wanted, design, vehicle)
@@ -232,11 +236,19 @@ def fly_campaign(
     count = 1
     while afresh and folder.exists():
         folder = known.with_name(f"{known.name}-{(count := count + 1)}")
-    earlier = DataSet(folder, loaded, loaded.campaign.runs).runs.tolist() if folder.exists() else []
-    outcome = run_campaign(loaded, folder, watch=watch, stop=stop, elsewhere="fly it again with simverify --afresh")
+
+    def waiting(who: str) -> None:
+        wait(who)
+        time.sleep(_POLL_S)
+
+    elsewhere = "fly it again with simverify --afresh"
+    shared = None if afresh else waiting
+    outcome = run_campaign(loaded, folder, watch=watch, stop=stop, elsewhere=elsewhere, wait=shared)
     result = result_of(wanted, loaded, folder, outcome.stopped)
-    again = sorted(random.SystemRandom().sample(earlier, min(sample, len(earlier))))
     data = DataSet(folder, loaded, loaded.campaign.runs)
+    mine = {run for first, size in outcome.missing for run in range(first, first + size)}
+    earlier = [run for run in data.runs.tolist() if run not in mine]
+    again = sorted(random.SystemRandom().sample(earlier, min(sample, len(earlier))))
     wrong = tuple(f"run {run}" for run in again if not same_run(data, run))
     return replace(result, recalled=len(earlier), reflown=tuple(again), differing=wrong)
 

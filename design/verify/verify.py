@@ -53,6 +53,8 @@ from maxq.sim.run.record import versions
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, told
 
 UNDER_TEST = "code under test"
+WAITING = "waiting for"
+"""Part of the text that `watch` gets while another process flies the campaign."""
 SAMPLE = 2
 """Recalled results of each kind that are computed again."""
 
@@ -307,8 +309,12 @@ def _verify(
             def show(progress: CampaignProgress, k: int = k) -> None:
                 watch(f"campaign {k + 1}", progress.done, progress.total)
 
+            def wait(who: str, k: int = k) -> None:
+                interruptible(f"campaign {k + 1}: {WAITING} {who}, which is flying it", 0, 0)
+
             parts, afresh = memory or Path("runs"), memory is None
-            campaigns.append(flown.fly_campaign(loaded, asked, design, vehicle, parts, show, stop, afresh, sample))
+            given = (loaded, asked, design, vehicle, parts, show, stop, afresh, sample, wait)
+            campaigns.append(flown.fly_campaign(*given))
     with timed("recalled results computed again"):
         reused = Reused(kept.recalled_names, *kept.recheck(sample))
     found = conclude(prepared, job, results, campaigns, board_findings.kinds_of(prepared.campaigns, campaigns), attempt)

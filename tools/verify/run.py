@@ -18,7 +18,7 @@ from maxq.design.verify.compared import against_basis
 from maxq.design.verify.flown import load_wanted
 from maxq.design.verify.judging import judge
 from maxq.design.verify.parts import Watch
-from maxq.design.verify.verify import SAMPLE, Verification, part_alone, prepare, verify
+from maxq.design.verify.verify import SAMPLE, WAITING, Verification, part_alone, prepare, verify
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.files import check_writable, plain_name
 from maxq.sim.input.errors import ScenarioError
@@ -85,7 +85,7 @@ def execute(
                     loaded,
                     vehicle=vehicle,
                     memory=None if afresh else memory.default_folder(),
-                    watch=progress.show,
+                    watch=_announced(progress),
                     stop=stop,
                     sample=sample,
                 )
@@ -115,6 +115,19 @@ def execute(
     if len(found) > 1:
         tell(*report.ranking(found))
     return _EXIT[report.ranked(found)[0].judgement]
+
+
+def _announced(progress: Progress) -> Watch:
+    """Return the callback that shows progress, and also says once that another process is waited for."""
+    said = set[str]()
+
+    def show(what: str, done: int, of: int) -> None:
+        if WAITING in what and what not in said:
+            said.add(what)
+            say("simverify", what)
+        progress.show(what, done, of)
+
+    return show
 
 
 def design_name(given: str) -> str:
