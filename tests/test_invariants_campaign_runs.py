@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import campaignkit
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 import maxq
 from maxq import LoadedCampaign
 from maxq.sim.campaign import runner
-from maxq.sim.campaign.analysis import DataSet, finer_runs, finer_text, summary_of
+from maxq.sim.campaign.analysis import DataSet, finer_runs, finer_text, summary_of, unfounded
+from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.investigation import refly
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.campaign.runs import fly_rows, fly_scenario
@@ -86,6 +89,55 @@ def test_extended(campaign: LoadedCampaign, serial: Path, tmp_path: Path) -> Non
     assert done.flown == 9
     assert campaignkit.same(campaignkit.data_set(tmp_path / "out"), campaignkit.data_set(serial))
     assert run_campaign(campaign, tmp_path / "out").flown == 0
+
+
+def test_two_processes_share_the_runs_of_a_folder(campaign: LoadedCampaign, serial: Path, tmp_path: Path) -> None:
+    """The later one waits for the earlier one, gets its name, and flies only the rest."""
+    rows = campaignkit.data_set(serial)
+    folder = tmp_path / "out"
+    other, _ = open_store(folder, campaign)
+    other.write(fly_rows(campaign, [(campaign.plan.draw(0, 8), run) for run in range(8)]))
+    asked = []
+
+    def wait(who: str) -> None:
+        asked.append(who)
+        if len(asked) == 2:
+            other.write(fly_rows(campaign, [(campaign.plan.draw(8, 8), run) for run in range(8, 16)]))
+            other.unlock()
+
+    with pytest.raises(CampaignError, match=rf"out: process {os.getpid()} is flying this campaign; wait for it, or gi"):
+        run_campaign(campaign, folder)
+    done = run_campaign(campaign, folder, wait=wait)
+    assert asked == [f"process {os.getpid()}"] * 2
+    assert (done.flown, done.missing) == (4, ((16, 4),))
+    assert campaignkit.same(campaignkit.data_set(folder), rows)
+
+
+def test_success_that_does_not_follow_from_the_metrics_is_named(tmp_path: Path) -> None:
+    """Every edited row is named, also where its metrics were not edited."""
+    slosh = '[[requirement]]\nname = "slosh"\nmetric = "max_slosh_deg"\nlimit = 0.0050\n'
+    campaign = campaignkit.small(tmp_path, rest=slosh)
+    run_campaign(campaign, tmp_path / "out", workers=1)
+    assert unfounded(DataSet(tmp_path / "out", campaign)) == []
+    (part,) = [path for path in (tmp_path / "out/runs").iterdir() if "0000000000-" in path.name]
+    table = pq.read_table(part)
+    passed = table["passed"].to_pylist()
+    assert 0 < sum(passed) < 8
+    columns = {
+        "passed": [True] * 8,
+        "step_error_slosh_deg": [*table["step_error_slosh_deg"].to_pylist()[:7], 0.9],
+        "lost_s": [0.2, *table["lost_s"].to_pylist()[1:]],
+    }
+    for name, values in columns.items():
+        at = table.schema.get_field_index(name)
+        table = table.set_column(at, table.schema.field(at), [values])
+    pq.write_table(table, part)
+    wrong = [run for run in range(8) if not passed[run]]
+    assert unfounded(DataSet(tmp_path / "out", campaign)) == [
+        "run 0: control is lost without a cause",
+        "run 7: its integration errors are too large for 0 halvings",
+        *(f"run {run}: `passed` does not follow from its metrics and requirements" for run in wrong),
+    ]
 
 
 def test_flown_again_alone_from_the_folder_alone(serial: Path, tmp_path: Path) -> None:

@@ -37,7 +37,16 @@ from maxq.sim.flight.telemetry import FAST, SLOW, Logged, channel_table
 from maxq.sim.input.values import to_ns
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
 from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, GrowingRows, LoggedRows, copied
-from maxq.sim.run.metrics import end_metrics, judge, orbit_metrics, section_extremes, section_metrics, step_failure
+from maxq.sim.run.metrics import (
+    ATTITUDE_METRICS,
+    end_metrics,
+    judge,
+    judged_requirements,
+    orbit_metrics,
+    section_extremes,
+    section_metrics,
+    step_failure,
+)
 from maxq.sim.run.quantities import propellant_text
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
@@ -58,12 +67,6 @@ BOOSTER_NAMES = ("booster_ignition", "booster_burnout")
 _OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # which each stage has
 CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
 SOFTWARE_NAME = "flight_software"  # external flight code has ended the flight
-ATTITUDE_METRICS = (  # metrics of controlled vehicles
-    "max_attitude_error_deg",
-    "max_roll_error_deg",
-    "max_computer_attitude_error_deg",
-    "max_computer_roll_error_deg",
-)
 BROKEN_WAVE = "the wave breaks; from here on, the pendulum model is not valid"
 CONTROL_LOST_CAUSE = f"the attitude error exceeds {math.degrees(CONTROL_LOST_RAD):.3g} deg under thrust"
 
@@ -333,10 +336,9 @@ class FlightRun:
         r_I_m, v_I_mps = (tuple(self.packed.state[k : k + 3].tolist()) for k in (R_I, V_I))
         metrics |= orbit_metrics(earth, r_I_m, v_I_mps)._asdict()
         metric_times_s |= section_times._asdict()
-        judged = scenario.requirement
-        if scenario.design is None or scenario.vehicle.computer is None:  # no control: there is no attitude error
+        judged = judged_requirements(scenario)
+        if scenario.design is None or scenario.vehicle.computer is None:
             metrics |= dict.fromkeys(ATTITUDE_METRICS, math.nan)
-            judged = tuple(r for r in judged if r.metric not in ATTITUDE_METRICS)
         inexact = step_failure(scenario.run, metrics, judged)
         failed = [e for e in events if e.name in (CONTROL_LOST_NAME, DIVERGED_NAME, SOFTWARE_NAME)]
         return Flight(

@@ -11,7 +11,7 @@ from maxq.control.kernel.vectors import Vector, add, cross, dot, norm, scaled
 from maxq.sim.flight.metric_table import EndMetrics, OrbitMetrics, SectionMetrics, title_of, unit_of
 from maxq.sim.run.quantities import against_limit, by_utilisation, meets, sign_of, utilisation
 from maxq.sim.scenario.schema_environment import Site
-from maxq.sim.scenario.schema_scenario import MOST_HALVINGS, RequirementSection, Run
+from maxq.sim.scenario.schema_scenario import MOST_HALVINGS, RequirementSection, Run, Scenario
 from maxq.sim.vehicle.loads.kernel import BENDING, COMPRESSION, KINDS, SHEAR, TENSILE, SectionLoads, extreme_index
 from maxq.sim.world.earth import FLAT, INVERSE_SQUARE, J2, Earth
 
@@ -29,6 +29,22 @@ _OF_ERRORS = {
 5e-4 deg are about a count of KSR-III's attitude converter (1e-5 rad). A mode that moves the gimbal by 1e-5 m turns a
 sensor by about as much.
 """
+
+
+STEP_SCALES = tuple(of for of, _ in _OF_ERRORS.values())
+"""The metrics to which estimated errors are relative."""
+ATTITUDE_METRICS = (  # metrics of controlled vehicles
+    "max_attitude_error_deg",
+    "max_roll_error_deg",
+    "max_computer_attitude_error_deg",
+    "max_computer_roll_error_deg",
+)
+
+
+def judged_requirements(scenario: Scenario) -> tuple[RequirementSection, ...]:
+    """Return the requirements by which a flight is judged. Without control, there is no attitude error."""
+    controlled = scenario.design is not None and scenario.vehicle.computer is not None
+    return tuple(r for r in scenario.requirement if controlled or r.metric not in ATTITUDE_METRICS)
 
 
 def step_failure(run: Run, metrics: Mapping[str, float], requirements: Sequence[RequirementSection]) -> str:
