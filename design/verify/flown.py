@@ -27,21 +27,31 @@ from maxq.sim.campaign.runs import fly_rows, schema_of, table_of
 from maxq.sim.campaign.statistics import Shown
 from maxq.sim.files import plain_name
 from maxq.sim.flight.metric_table import unit_of
+from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import Verdict
 from maxq.sim.run.quantities import sign_of
 from maxq.sim.scenario.flight_code import flight_code_key
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
-from maxq.sim.scenario.schema_scenario import LogSection
+from maxq.sim.scenario.schema_scenario import LogSection, Scenario
 
 KEPT = ("gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg", "error_pitch_deg", "error_yaw_deg")
 KEPT_HZ = 20.0
 _POLL_S = 0.2
+LAW_SHARE, LAW_LEAST_DEG = 0.05, 1.0
+"""The allowed difference of gimbal angles of flight code from those of its design, a share of the largest of these.
+
+Smaller largest angles count as `LAW_LEAST_DEG`. A gain that is 0.2 dB off, as a certificate permits, gives 2.3 %.
+"""
 
 
 @dataclass(frozen=True)
 class FlownResult:
-    """The result of a flight of the suite. `time_s` and `histories` (by channel) are those under thrust, decimated."""
+    """The result of a flight of the suite. `time_s` and `histories` (by channel) are those under thrust, decimated.
+
+    `law_share`: the largest difference of gimbal angles of flight code from a flight with its design, as a share
+    (`LAW_SHARE`); nan without code or design.
+    """
 
     name: str
     why: str
@@ -54,6 +64,7 @@ class FlownResult:
     again: str
     time_s: Array = field(repr=False)
     histories: dict[str, Array] = field(repr=False)
+    law_share: float = math.nan
 
     @property
     def passed(self) -> bool:
@@ -121,9 +132,15 @@ def fly_alone(flown: SuiteFlight, loaded: LoadedScenario, again: str) -> FlownRe
     log = LogSection(fast_hz=KEPT_HZ, slow_hz=KEPT_HZ, transform_hz=1.0)
     scenario = loaded.scenario.model_copy(update={"log": log})
     flight = fly(LoadedScenario(scenario, loaded.label, loaded.files))
-    times = flight.time_s(KEPT[0])
-    under_thrust = times[times <= np.nanmin([flight.event_s("burnout"), flight.end_s])]
-    histories = {name: np.round(np.interp(under_thrust, flight.time_s(name), flight[name]), 6) for name in KEPT}
+    under_thrust, histories = _histories(flight)
+    twin, share = _by_design(scenario), math.nan
+    if twin is not None:
+        times_s, other = _histories(fly(LoadedScenario(twin, loaded.label, loaded.files)))
+        n = min(len(times_s), len(under_thrust))
+        angles = [(histories[name][:n], other[name][:n]) for name in KEPT[:2]]
+        largest = max(float(np.abs(theirs).max(initial=0.0)) for _, theirs in angles)
+        difference = max(float(np.abs(mine - theirs).max(initial=0.0)) for mine, theirs in angles)
+        share = difference / max(largest, LAW_LEAST_DEG)
     return FlownResult(
         flown.name,
         flown.why,
@@ -136,7 +153,24 @@ def fly_alone(flown: SuiteFlight, loaded: LoadedScenario, again: str) -> FlownRe
         again,
         under_thrust,
         histories,
+        share,
     )
+
+
+def _histories(flight: Flight) -> tuple[Array, dict[str, Array]]:
+    """Return the decimated times under thrust, s, and the kept channels there."""
+    times = flight.time_s(KEPT[0])
+    under_thrust = times[times <= np.nanmin([flight.event_s("burnout"), flight.end_s])]
+    return under_thrust, {n: np.round(np.interp(under_thrust, flight.time_s(n), flight[n]), 6) for n in KEPT}
+
+
+def _by_design(scenario: Scenario) -> Scenario | None:
+    """Return a scenario of flight code with the law of its design instead, or None without code or design."""
+    computer = scenario.vehicle.computer
+    if scenario.design is None or computer is None or computer.law != "external":
+        return None
+    law = computer.model_copy(update={"law": "design", "library": None, "python": None, "address": None})
+    return scenario.model_copy(update={"vehicle": scenario.vehicle.model_copy(update={"computer": law})})
 
 
 def _said(v: Verdict) -> str:
@@ -163,7 +197,26 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequiremen
         judgement = suite.ACCEPTED if r.passed else suite.REJECTED
         if r.counts:
             out.append(JudgedRequirement("scenarios", r.name, wanted, found, judgement, left, where, again=r.again))
-    return out
+    return [*out, *_law_requirement(results)]
+
+
+def _law_requirement(results: Sequence[FlownResult]) -> list[JudgedRequirement]:
+    """Require that flight code steers as its design in every flight, where nothing is excited.
+
+    The certificate compares both where the code could recognise the excitation.
+    """
+    compared = [r for r in results if math.isfinite(r.law_share)]
+    if not compared:
+        return []
+    worst = max(compared, key=lambda r: r.law_share)
+    judgement = suite.ACCEPTED if worst.law_share <= LAW_SHARE else suite.REJECTED
+    wanted = f"<= {100.0 * LAW_SHARE:g} % of the largest"
+    found = f"{100.0 * worst.law_share:.2g} % in {len(compared)} flights"
+    room, name = (
+        suite.room_left(worst.law_share, LAW_SHARE, "<="),
+        "gimbal angles of the code, difference from its design",
+    )
+    return [JudgedRequirement("scenarios", name, wanted, found, judgement, room, worst.name, again=worst.again)]
 
 
 @dataclass(frozen=True)
