@@ -116,7 +116,7 @@ def test_one_changed_gain_redoes_what_depends_on_it(tmp_path: Path) -> None:
     assert other.worked_out <= 2  # the flights' commands name the file
     anew = 2 + 1 + 1 + 2 + 1  # flights, instants, margins at 30 s, slosh and its flight, certificate at 30 s
     assert (changed_.recalled, changed_.worked_out) == (parts - anew, anew)
-    before, after = first.certificates, changed_.certificates
+    before, after = first.results.certificates, changed_.results.certificates
     assert [c.time_s for c in after] == [30.0, 35.0]
     assert before[0].margins != after[0].margins
     assert before[1].margins == after[1].margins

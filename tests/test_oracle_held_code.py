@@ -24,6 +24,8 @@ from maxq.design.certificate.measured_only import measure_node
 from maxq.design.certificate.response import measure
 from maxq.design.quantities import LoopLimits
 from maxq.design.verify.certified import measured_requirements
+from maxq.design.verify.flown import flight_requirements, fly_alone
+from maxq.design.verify.suite import SuiteFlight
 from maxq.sim.run.held_code import command_offset
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 
@@ -128,6 +130,22 @@ def test_the_margin_of_code_that_watches_the_clock_is_rejected(tmp_path: Path) -
     rows = {r.name: r for r in measured_requirements([found], LoopLimits(gain_up_db=6.0))}
     assert rows["upper gain margin"].judgement == "rejected"
     assert rows["replay of inputs"].judgement == "accepted"
+
+
+@pytest.mark.parametrize(("gain", "judgement"), [("1.0", "accepted"), ("1.8", "rejected")])
+def test_code_with_another_law_where_nothing_is_excited_differs_from_its_design(
+    gain: str, judgement: str, tmp_path: Path
+) -> None:
+    """Code that recognises the excitation of the certificate agrees there; the flights of the suite have none."""
+    code = library(tmp_path, tested=f"{gain} == 1.0")
+    gust = "{kind='one-minus-cosine',altitude_m=900.0,thickness_m=120.0,edge_m=50.0,speed_mps=10.0,from_deg=200.0}"
+    changes = ["run.duration_s=20", f"wind.gust=[{gust}]", *flies(library=code)]
+    found = fly_alone(SuiteFlight(name="gust"), load_scenario("nominal", changes), "")
+    (row,) = [r for r in flight_requirements([found]) if r.name.startswith("gimbal angles of the code")]
+    assert row.judgement == judgement
+    assert found.law_share < 0.01 if judgement == "accepted" else found.law_share > 0.1
+    without = fly_alone(SuiteFlight(name="none"), load_scenario("nominal", ["run.duration_s=0.1"]), "")
+    assert len(flight_requirements([without])) == 1
 
 
 def test_code_that_answers_the_same_inputs_differently_is_rejected(tmp_path: Path) -> None:

@@ -281,12 +281,42 @@ def test_what_an_actuators_play_does_to_steps_is_estimated_as_large_as_it_is() -
 
 def test_an_error_beyond_the_accuracy_is_a_failure(by_accuracy: Flight) -> None:
     required = by_accuracy.scenario.scenario.requirement
-    assert step_failure(0.01, by_accuracy.metrics, required) == ""
+    run = by_accuracy.scenario.scenario.run
+    assert run.accuracy == 0.01
+    assert step_failure(run, by_accuracy.metrics, required) == ""
     worse = by_accuracy.metrics | {"step_error_slosh_deg": 0.11}
-    assert "0.11 deg exceeds run.accuracy = 0.01" in step_failure(0.01, worse, required)  # 10 deg are allowed
-    assert step_failure(0.02, worse, required) == ""
+    assert "0.11 deg exceeds run.accuracy = 0.01" in step_failure(run, worse, required)  # 10 deg are allowed
+    assert step_failure(run.model_copy(update={"accuracy": 0.02}), worse, required) == ""
+
+    coarsest = step_failure(run.model_copy(update={"halvings": 3}), worse, required)
+    assert [m.rpartition("; ")[2] for m in (step_failure(run, worse, required), coarsest)] == [
+        "set run.halvings = 1",
+        "set run.step_s instead of run.accuracy",
+    ]
+
+
+def test_errors_that_no_sensor_resolves_fail_no_quiet_flight(by_accuracy: Flight) -> None:
+    """Without a requirement, 5e-4 deg and 0.01 mm are allowed however little the vehicle moves."""
+    run = by_accuracy.scenario.scenario.run
+    quiet = by_accuracy.metrics | {"max_slosh_deg": 1e-6, "step_error_slosh_deg": 4.9e-4}
+    assert step_failure(run, quiet, ()) == ""
+    assert "slosh" in step_failure(run, quiet | {"step_error_slosh_deg": 5.1e-4}, ())
+    quiet = by_accuracy.metrics | {"max_bending_m": 1e-9, "step_error_bending_m": 0.9e-5}
+    assert step_failure(run, quiet, ()) == ""
+    assert "bending" in step_failure(run, quiet | {"step_error_bending_m": 1.1e-5}, ())
+
+
+def test_each_halving_halves_the_longest_step() -> None:
+    """A projectile without fast parts has steps of 10 ms."""
+    changes = ("run.step_s=", "run.accuracy=0.1", "run.duration_s=0.4")
+    flights = [
+        fly(load_scenario("checkcases/shot-north", [*changes, f"run.halvings={n}"]), log=False) for n in range(4)
+    ]
+    assert [flight.steps for flight in flights] == [40, 80, 160, 320]
 
 
 def test_accuracy_or_step() -> None:
+    with pytest.raises(ScenarioError, match=r"run\.halvings.*0 without run\.accuracy"):
+        load_scenario("nominal", ["run.halvings=1"])
     with pytest.raises(ScenarioError, match="one of step_s, accuracy"):
         load_scenario("nominal", [ACCURATE, "run.step_s=0.002"])

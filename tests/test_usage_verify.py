@@ -138,6 +138,7 @@ def test_accepted_design_leaves_verdict_and_pack(
     assert recorded == gaps
     page = (out / "review.html").read_text()
     assert re.findall(r"<li[^>]*>not covered by operating points: ([^<]*)</li>", page) == gaps
+    assert "The design file states, which is no finding of this review: " in page
     assert set(re.findall(r"https?:[^\"']*", page)) == {"http://www.w3.org/2000/svg"}  # nothing from outside
     assert {"flights.csv", "margins-pitch.csv", "nichols-pitch.csv"} <= {f.name for f in (out / "figures").iterdir()}
     assert verdict["command"] in page.replace("&#x27;", "'")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +30,10 @@ def _own_ledger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MAXQ_LEDGER", str(tmp_path / "ledger"))
 
 
-def _begin(everything: str, vehicle: str = "v", **more: Any) -> ledger.Attempt:
+def _begin(everything: str, vehicle: str = "v", name: str = "KSR-III", **more: Any) -> ledger.Attempt:
     hashes = {"vehicle": vehicle, "suite": "s", "design": "d", "all": everything}
     content = {"design": "mine", "suite": "quick", "part": "", "candidate": 0, "seeds": {}, "command": ""}
-    return ledger.begin("KSR-III", {**content, "hashes": hashes, **more})
+    return ledger.begin(name, {**content, "hashes": hashes, **more})
 
 
 def test_every_attempt_names_the_others_with_their_verdicts() -> None:
@@ -59,7 +60,7 @@ def test_many_verdicts_are_counted() -> None:
 def test_a_line_that_was_changed_or_removed_is_found() -> None:
     for number in range(3):
         _begin(str(number)).end("rejected")
-    path = ledger.ledger_path("KSR-III")
+    path = ledger.ledger_path()
     rows = path.read_text().splitlines()
     assert ledger.read_lines(path)[1] == ()
 
@@ -83,10 +84,43 @@ def test_a_line_that_was_changed_or_removed_is_found() -> None:
 def test_ledger_is_in_the_data_folder_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("MAXQ_LEDGER")
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
-    assert ledger.ledger_path("KSR-III (x)") == tmp_path / "data/maxq/attempts/KSR-III-x.jsonl"
+    assert ledger.ledger_path() == tmp_path / "data/maxq/attempts/attempts.jsonl"
     monkeypatch.delenv("XDG_DATA_HOME")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert ledger.ledger_path("a/../b") == tmp_path / ".local/share/maxq/attempts/a-..-b.jsonl"
+    assert ledger.ledger_path() == tmp_path / ".local/share/maxq/attempts/attempts.jsonl"
+
+
+def test_a_copy_of_a_vehicle_under_another_name_continues_its_attempts() -> None:
+    """Else a renamed vehicle would begin with attempt 1, and a second seed could be registered for it."""
+    _begin("1", seeds={"campaign.0": 1}).end("rejected")
+    copy = _begin("2", name="Falke")
+    assert copy.title == "attempt 2 for this vehicle; 1 earlier one: REJECTED; also under the name KSR-III"
+    copy.end("rejected")
+    changed = _begin("3", vehicle="w", name="Falke")
+    assert changed.title == "attempt 1 for this vehicle; 2 for other versions of Falke; also under the name KSR-III"
+    other = _begin("4", vehicle="x", name="Bussard")
+    assert other.title == "attempt 1 for this vehicle; further vehicles in the ledger: KSR-III, Falke"
+    for name, vehicle in (("Falke", "v"), ("Falke", "w"), ("another", "v")):
+        with pytest.raises(ValueError, match="cannot be registered"):
+            _register(7, vehicle, name)
+    _register(7, "y", "one that was never flown")
+
+
+def test_the_content_of_a_vehicle_is_that_of_a_renamed_copy(tmp_path: Path) -> None:
+    folder = tmp_path / "own"
+    shutil.copytree(Path(__file__).parents[1] / "scenarios/vehicles/ksr3", folder)
+    file, known = folder / "vehicle.toml", ledger.vehicle_hash(load_scenario("nominal").vehicle)
+    text = file.read_text()
+    for before, after in (("KSR-III (", "Falke ("), ('"lox"', '"oxidiser"'), ('"mass.csv"', '"m.csv"')):
+        assert before in text
+        text = text.replace(before, after)
+    file.write_text(f"# a comment\n{text}")
+    (folder / "mass.csv").rename(folder / "m.csv")
+    copy = load_scenario("nominal", [f"vehicle='{folder}'"]).vehicle
+    assert copy.name.startswith("Falke")
+    assert ledger.vehicle_hash(copy) == known
+    file.write_text(text.replace("count_rad = 1.0e-5", "count_rad = 1.1e-5"))
+    assert ledger.vehicle_hash(load_scenario("nominal", [f"vehicle='{folder}'"]).vehicle) != known
 
 
 def test_vehicle_is_the_same_with_other_flight_code() -> None:
@@ -166,15 +200,19 @@ def test_a_baseline_that_is_not_shipped_declares_no_seed(tmp_path: Path) -> None
     assert _seeds(str(suite))["campaign.0"] == "chosen by hand"
 
 
+def _known(vehicle: str = "v", name: str = "KSR-III") -> list[ledger.Line]:
+    return ledger.lines_of(ledger.read_lines(ledger.ledger_path())[0], name, vehicle)
+
+
 def _how(value: int, declared: int = 1) -> str:
     seed = Seed("campaign.0", value, declared, seeds.DECLARED if value == declared else seeds.BY_HAND)
-    return chosen([seed], ledger.known_lines(ledger.ledger_path("KSR-III")), "d")[0].how
+    return chosen([seed], _known(), "d")[0].how
 
 
-def _register(value: int, vehicle: str = "v") -> None:
-    path = ledger.ledger_path("KSR-III")
+def _register(value: int, vehicle: str = "v", name: str = "KSR-III") -> None:
     by_hand = [Seed("campaign.0", value, 1, seeds.BY_HAND)]
-    ledger.append(path, registered(by_hand, ledger.known_lines(path), vehicle))
+    line = registered(by_hand, _known(vehicle, name), vehicle)
+    ledger.append(ledger.ledger_path(), {"vehicle": name, **line})
 
 
 def test_a_seed_registered_before_any_flight_replaces_the_declared_one() -> None:
@@ -207,7 +245,7 @@ def test_seeds_of_noise_count_as_flown_where_an_attempt_does_not_record_them() -
     _begin("1", seeds={"campaign.0": 1})
     noise = Seed("flight 'nominal' wind.turbulence", 5, 1, seeds.BY_HAND)
     with pytest.raises(ValueError, match="cannot be registered"):
-        registered([noise], ledger.known_lines(ledger.ledger_path("KSR-III")), "v")
+        registered([noise], _known(), "v")
 
 
 def test_seeds_that_simdesign_assigns_count_for_their_design() -> None:
@@ -215,7 +253,7 @@ def test_seeds_that_simdesign_assigns_count_for_their_design() -> None:
     assert [how for how in found.values() if how != "declared"] == ["assigned to candidate 2"] * 2
     assert "chosen by hand" in _seeds("standard", "campaign.0.seed=20021130", candidate=1).values()
     _begin("1", seeds={"campaign.0": 20021130}, candidate=2)
-    lines = ledger.known_lines(ledger.ledger_path("KSR-III"))
+    lines = _known()
     seed = Seed("campaign.0", 20021130, 20021128, seeds.BY_HAND)
     assert chosen([seed], lines, "d")[0].how == "assigned to candidate 2"
     assert chosen([seed], lines, "another design")[0].how == "chosen by hand"

@@ -58,9 +58,10 @@ def test_the_certificate_of_flight_code_alone_is_judged_by_the_limits(
     """Its upper gain margin is 6.3 dB, and the suite asks for 12."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("maxq.design.verify.memory.default_folder", lambda: tmp_path / "memory")
+    monkeypatch.setattr("maxq.tools.verify.report.print_page", lambda *_: None)
     library = compiled(tmp_path, EXAMPLES / "pd_law.c", "pd_law")
     Path("small.toml").write_text(SMALL)
-    words = [f"./{library.name}", "--suite", "small.toml", "--only", "certificate", "--no-pack", "--out", "out"]
+    words = [f"./{library.name}", "--suite", "small.toml", "--only", "certificate", "--out", "out"]
     assert main(words) == 1
     lines = capsys.readouterr().out.splitlines()
     table = lines[lines.index("margins measured in flight") :]
@@ -75,3 +76,5 @@ def test_the_certificate_of_flight_code_alone_is_judged_by_the_limits(
     verdict = json.loads(Path("out/verdict.json").read_text())
     assert (verdict["part"], verdict["left_out"]) == ("certificate", ["1 flight", "linear margins"])
     assert verdict["missing_evidence"] == ["'certificate' was judged alone"]
+    page = " ".join(Path("out/review.html").read_text().split())
+    assert "This code under test was executed for the review, in a process of its own." in page

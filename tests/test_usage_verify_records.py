@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import filelock
 import pyarrow.parquet as pq
 import pytest
 from made_once import copy_of
@@ -322,6 +323,39 @@ def test_runs_that_were_edited_are_found(
     assert found[0] == 'verdict: "undecided" in the pack, "rejected" by the results'
     assert found[1].startswith("requirements: ksr3: attitude error (campaign): found: ")
     assert found[-1] == "run 0 of ksr3: computed again, it differs"
+
+
+@pytest.mark.long
+def test_success_that_was_edited_is_named_in_every_row(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (part,) = Path("pack/verdict-runs/1/runs").glob("*.parquet")
+    table = pq.read_table(part)
+    at = table.schema.get_field_index("passed")
+    pq.write_table(table.set_column(at, table.schema.field(at), [[False] * 4]), part)
+    assert [text for text in _differs(_run(capsys, "--check", "pack", "--sample", "0")[1]) if "`passed`" in text] == [
+        f"campaign ksr3: run {run}: `passed` does not follow from its metrics and requirements" for run in range(4)
+    ]
+
+
+@pytest.mark.long
+def test_a_verification_waits_for_another_that_flies_its_campaign(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It says so in a line, and shares the runs."""
+    (folder,) = Path("memory").glob("campaign-*")
+    lock = filelock.FileLock(folder / "lock", thread_local=False)
+    lock.acquire()
+    (folder / "lock").write_text("4242")
+    lines = list[str]()
+
+    def heard(_: str, line: str) -> None:
+        lines.append(line)
+        lock.release()
+
+    monkeypatch.setattr("maxq.tools.verify.run.say", heard)
+    code, said = _run(capsys, "ksr3-robust", "--suite", "suite.toml", "--no-pack", "--out", "again", "--sample", "0")
+    assert code == 3
+    assert "4 of 4 runs of campaign ksr3 recalled from the cache" in said
+    assert lines == ["campaign 1: waiting for process 4242, which is flying it"]
 
 
 @pytest.mark.slow

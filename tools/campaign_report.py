@@ -323,6 +323,7 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], ta
         "requirements",
         *table,
         f"  {how_judged(data, verdicts)}",
+        *(f"  {text}" for text in [analysis.finer_text(analysis.finer_runs(data))] if text),
     ]
     if months := availability(data):
         shown = aligned(month_rows(months), "  ", right=range(1, 5))
@@ -413,6 +414,7 @@ def write_report(
         design=base.design.name if base.design else "",
         tested=how_judged(data, verdicts),
         redraws=analysis.redraws(data),
+        finer=analysis.finer_text(analysis.finer_runs(data)),
         tone="bad" if NOT_MET in judgements else "good" if judgements == {MET} and len(data.runs) else "open",
     )
     files.append(write_whole(data.folder / "report.html", page, CampaignError))

@@ -6,7 +6,8 @@ import json
 import math
 import random
 import shlex
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.verify import suite
 from maxq.design.verify.memory import PartsOnDisk, code_hash, content_hash, counted
 from maxq.design.verify.suite import CampaignWanted, JudgedRequirement, LoadedSuite, SuiteFlight, judgement_of
-from maxq.sim.campaign.analysis import DataSet, Judged, Lost, judged, lost
+from maxq.sim.campaign.analysis import DataSet, Judged, Lost, finer_runs, judged, lost
 from maxq.sim.campaign.availability import Month, availability
 from maxq.sim.campaign.investigation import differing
 from maxq.sim.campaign.read import LoadedCampaign, description_of, load_campaign
@@ -26,20 +27,31 @@ from maxq.sim.campaign.runs import fly_rows, schema_of, table_of
 from maxq.sim.campaign.statistics import Shown
 from maxq.sim.files import plain_name
 from maxq.sim.flight.metric_table import unit_of
+from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import Verdict
 from maxq.sim.run.quantities import sign_of
 from maxq.sim.scenario.flight_code import flight_code_key
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
-from maxq.sim.scenario.schema_scenario import LogSection
+from maxq.sim.scenario.schema_scenario import LogSection, Scenario
 
 KEPT = ("gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg", "error_pitch_deg", "error_yaw_deg")
 KEPT_HZ = 20.0
+_POLL_S = 0.2
+LAW_SHARE, LAW_LEAST_DEG = 0.05, 1.0
+"""The allowed difference of gimbal angles of flight code from those of its design, a share of the largest of these.
+
+Smaller largest angles count as `LAW_LEAST_DEG`. A gain that is 0.2 dB off, as a certificate permits, gives 2.3 %.
+"""
 
 
 @dataclass(frozen=True)
 class FlownResult:
-    """The result of a flight of the suite. `time_s` and `histories` (by channel) are those under thrust, decimated."""
+    """The result of a flight of the suite. `time_s` and `histories` (by channel) are those under thrust, decimated.
+
+    `law_share`: the largest difference of gimbal angles of flight code from a flight with its design, as a share
+    (`LAW_SHARE`); nan without code or design.
+    """
 
     name: str
     why: str
@@ -52,6 +64,7 @@ class FlownResult:
     again: str
     time_s: Array = field(repr=False)
     histories: dict[str, Array] = field(repr=False)
+    law_share: float = math.nan
 
     @property
     def passed(self) -> bool:
@@ -119,9 +132,15 @@ def fly_alone(flown: SuiteFlight, loaded: LoadedScenario, again: str) -> FlownRe
     log = LogSection(fast_hz=KEPT_HZ, slow_hz=KEPT_HZ, transform_hz=1.0)
     scenario = loaded.scenario.model_copy(update={"log": log})
     flight = fly(LoadedScenario(scenario, loaded.label, loaded.files))
-    times = flight.time_s(KEPT[0])
-    under_thrust = times[times <= np.nanmin([flight.event_s("burnout"), flight.end_s])]
-    histories = {name: np.round(np.interp(under_thrust, flight.time_s(name), flight[name]), 6) for name in KEPT}
+    under_thrust, histories = _histories(flight)
+    twin, share = _by_design(scenario), math.nan
+    if twin is not None:
+        times_s, other = _histories(fly(LoadedScenario(twin, loaded.label, loaded.files)))
+        n = min(len(times_s), len(under_thrust))
+        angles = [(histories[name][:n], other[name][:n]) for name in KEPT[:2]]
+        largest = max(float(np.abs(theirs).max(initial=0.0)) for _, theirs in angles)
+        difference = max(float(np.abs(mine - theirs).max(initial=0.0)) for mine, theirs in angles)
+        share = difference / max(largest, LAW_LEAST_DEG)
     return FlownResult(
         flown.name,
         flown.why,
@@ -134,7 +153,24 @@ def fly_alone(flown: SuiteFlight, loaded: LoadedScenario, again: str) -> FlownRe
         again,
         under_thrust,
         histories,
+        share,
     )
+
+
+def _histories(flight: Flight) -> tuple[Array, dict[str, Array]]:
+    """Return the decimated times under thrust, s, and the kept channels there."""
+    times = flight.time_s(KEPT[0])
+    under_thrust = times[times <= np.nanmin([flight.event_s("burnout"), flight.end_s])]
+    return under_thrust, {n: np.round(np.interp(under_thrust, flight.time_s(n), flight[n]), 6) for n in KEPT}
+
+
+def _by_design(scenario: Scenario) -> Scenario | None:
+    """Return a scenario of flight code with the law of its design instead, or None without code or design."""
+    computer = scenario.vehicle.computer
+    if scenario.design is None or computer is None or computer.law != "external":
+        return None
+    law = computer.model_copy(update={"law": "design", "library": None, "python": None, "address": None})
+    return scenario.model_copy(update={"vehicle": scenario.vehicle.model_copy(update={"computer": law})})
 
 
 def _said(v: Verdict) -> str:
@@ -161,7 +197,26 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequiremen
         judgement = suite.ACCEPTED if r.passed else suite.REJECTED
         if r.counts:
             out.append(JudgedRequirement("scenarios", r.name, wanted, found, judgement, left, where, again=r.again))
-    return out
+    return [*out, *_law_requirement(results)]
+
+
+def _law_requirement(results: Sequence[FlownResult]) -> list[JudgedRequirement]:
+    """Require that flight code steers as its design in every flight, where nothing is excited.
+
+    The certificate compares both where the code could recognise the excitation.
+    """
+    compared = [r for r in results if math.isfinite(r.law_share)]
+    if not compared:
+        return []
+    worst = max(compared, key=lambda r: r.law_share)
+    judgement = suite.ACCEPTED if worst.law_share <= LAW_SHARE else suite.REJECTED
+    wanted = f"<= {100.0 * LAW_SHARE:g} % of the largest"
+    found = f"{100.0 * worst.law_share:.2g} % in {len(compared)} flights"
+    room, name = (
+        suite.room_left(worst.law_share, LAW_SHARE, "<="),
+        "gimbal angles of the code, difference from its design",
+    )
+    return [JudgedRequirement("scenarios", name, wanted, found, judgement, room, worst.name, again=worst.again)]
 
 
 @dataclass(frozen=True)
@@ -184,6 +239,7 @@ class CampaignResult:
     months: tuple[Month, ...] = ()
     availability: float | None = None  # that is required in each of them
     fixed: bool = True  # the number of runs was recorded beforehand
+    finer: Mapping[int, int] = field(default_factory=dict)  # halvings of the step by run (`finer_runs`)
     recalled: int = 0  # runs that an earlier verification had flown
     reflown: tuple[int, ...] = ()  # of these, flown again and compared
     differing: tuple[str, ...] = ()
@@ -221,9 +277,11 @@ def fly_campaign(
     stop: Callable[[], bool],
     afresh: bool,
     sample: int = 0,
+    wait: Callable[[str], None] = lambda who: None,
 ) -> CampaignResult:
     """Fly the missing runs of a campaign, or all of them into a new folder.
 
+    If another process flies this campaign, its runs are shared: `wait` is called with its name a few times a second.
     `sample` is the number of earlier runs that are flown again and compared. Raises ScenarioError, CampaignError.
     """
     loaded = load_wanted(loaded_suite, wanted, design, vehicle)
@@ -231,11 +289,19 @@ def fly_campaign(
     count = 1
     while afresh and folder.exists():
         folder = known.with_name(f"{known.name}-{(count := count + 1)}")
-    earlier = DataSet(folder, loaded, loaded.campaign.runs).runs.tolist() if folder.exists() else []
-    outcome = run_campaign(loaded, folder, watch=watch, stop=stop, elsewhere="fly it again with simverify --afresh")
+
+    def waiting(who: str) -> None:
+        wait(who)
+        time.sleep(_POLL_S)
+
+    elsewhere = "fly it again with simverify --afresh"
+    shared = None if afresh else waiting
+    outcome = run_campaign(loaded, folder, watch=watch, stop=stop, elsewhere=elsewhere, wait=shared)
     result = result_of(wanted, loaded, folder, outcome.stopped)
-    again = sorted(random.SystemRandom().sample(earlier, min(sample, len(earlier))))
     data = DataSet(folder, loaded, loaded.campaign.runs)
+    mine = {run for first, size in outcome.missing for run in range(first, first + size)}
+    earlier = [run for run in data.runs.tolist() if run not in mine]
+    again = sorted(random.SystemRandom().sample(earlier, min(sample, len(earlier))))
     wrong = tuple(f"run {run}" for run in again if not same_run(data, run))
     return replace(result, recalled=len(earlier), reflown=tuple(again), differing=wrong)
 
@@ -257,6 +323,7 @@ def result_of(wanted: CampaignWanted, loaded: LoadedCampaign, folder: Path, stop
         tuple(availability(data)),
         wanted.availability,
         data.planned is not None and data.planned == data.in_order,
+        finer_runs(data),
     )
 
 

@@ -1,8 +1,11 @@
 """The ledger of attempts: every verification of a vehicle, with its verdict, written before the verdict is shown.
 
-A ledger is a file of JSON lines for each vehicle's name, in the user's data folder and so independent of `--out`. Each
-line contains the hash of the line before it: a line that was edited, or removed from the middle, is detected. Nothing
+The ledger is a file of JSON lines for all vehicles, in the user's data folder and so independent of `--out`. Each line
+contains the hash of the line before it: a line that was edited, or removed from the middle, is detected. Nothing
 prevents that the whole file, or its end, is deleted; earlier packs contain copies.
+
+A vehicle is identified by its name and by its content, so that neither a copy under another name nor a changed number
+has a ledger of its own.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from maxq.design.verify.memory import content_hash
-from maxq.sim.files import plain_name, write_whole
+from maxq.sim.files import write_whole
 from maxq.sim.scenario.loader import told
 from maxq.sim.scenario.schema_vehicle import Vehicle
 
@@ -31,26 +34,34 @@ BEGUN, ENDED, REGISTERED = "begun", "ended", "registered"
 INTERRUPTED = "not ended"
 UNDER_TEST = frozenset({"law", "library", "python", "sources", "data", "settings", "timeout_s", "guard"})
 """Keys of a computer that are of the flight code, which is judged."""
+_WORDS = frozenset({"schema", "name", "description", "source", "file"})
+_REFERENCES = frozenset({"group", "tank"})  # to the name of a part
 _LISTED = 5  # verdicts in the line on the first page; more are counted
 
 Line = dict[str, Any]
 
 
-def ledger_path(vehicle: str) -> Path:
-    """Return the ledger of a vehicle's name: in `$MAXQ_LEDGER`, else `maxq/attempts` in the user's data folder."""
+def ledger_path() -> Path:
+    """Return the ledger: in `$MAXQ_LEDGER`, else in `maxq/attempts` in the user's data folder."""
     data = os.environ.get("XDG_DATA_HOME") or os.path.join(os.path.expanduser("~"), ".local", "share")
-    folder = os.environ.get("MAXQ_LEDGER") or os.path.join(data, "maxq", "attempts")
-    return Path(folder) / f"{plain_name(vehicle, 'vehicle')}.jsonl"
+    return Path(os.environ.get("MAXQ_LEDGER") or os.path.join(data, "maxq", "attempts")) / "attempts.jsonl"
 
 
 def vehicle_hash(vehicle: Vehicle) -> str:
-    """Return the SHA-256 of a vehicle without the flight code that it flies."""
+    """Return the SHA-256 of a vehicle's numbers, without the flight code that it flies.
 
-    def kept(value: Any, in_computer: bool = False) -> Any:
+    Names, descriptions, sources and files do not count. A reference to a name counts by the order of first occurrence.
+    """
+    names = list[str]()
+
+    def kept(value: Any, key: str = "") -> Any:
         if isinstance(value, dict):
-            left = {k: v for k, v in value.items() if not (in_computer and k in UNDER_TEST)}
-            return {k: kept(v, k == "computer") for k, v in left.items()}
-        return [kept(v, in_computer) for v in value] if isinstance(value, list) else value
+            out = _WORDS | UNDER_TEST if key == "computer" else _WORDS
+            return {k: kept(v, k) for k, v in value.items() if k not in out}
+        if isinstance(value, str) and value and key in _REFERENCES:
+            names.extend([value] * (value not in names))
+            return names.index(value)
+        return [kept(v, key) for v in value] if isinstance(value, list) else value
 
     return content_hash(kept(told(vehicle)))
 
@@ -99,9 +110,20 @@ def _locked(path: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def known_lines(path: Path) -> list[Line]:
-    """Return the lines of attempts and registrations in a ledger, oldest first."""
-    return [line for line in read_lines(path)[0] if line.get("state") in (BEGUN, REGISTERED)]
+def lines_of(lines: Sequence[Line], vehicle: str, content: str) -> list[Line]:
+    """Return the lines of attempts and registrations for a vehicle in a ledger, oldest first.
+
+    These have its name, its `content` (`vehicle_hash`), or any name or content that occurs together with one of them.
+    """
+    every = [line for line in lines if line.get("state") in (BEGUN, REGISTERED)]
+    names, contents = {vehicle}, {content}
+    while True:
+        mine = [line for line in every if line.get("vehicle") in names or line["hashes"]["vehicle"] in contents]
+        before = len(names) + len(contents)
+        names.update(line["vehicle"] for line in mine if "vehicle" in line)
+        contents.update(line["hashes"]["vehicle"] for line in mine)
+        if len(names) + len(contents) == before:
+            return mine
 
 
 def append(path: Path, content: Mapping[str, Any]) -> Line:
@@ -125,6 +147,7 @@ class PastAttempt:
     """An attempt in the ledger. `verdict`: "not ended" of one that was interrupted or is still running."""
 
     date: str
+    vehicle: str  # its name
     design: str
     suite: str
     part: str  # that was judged alone
@@ -138,14 +161,15 @@ class PastAttempt:
 class Attempt:
     """A verification in the ledger, and the other attempts for its vehicle.
 
-    `others`: of the same vehicle, each once, however often it was repeated. `versions`: attempts for vehicles of the
-    same name and with another hash. `damage`: of the chain.
+    `others`: of the same vehicle, each once, however often it was repeated. `versions`: attempts for other versions of
+    the vehicle (`lines_of`). `further`: names of further vehicles in the ledger. `damage`: of the chain.
     """
 
     number: int = 1
     repeated: bool = False
     others: tuple[PastAttempt, ...] = ()
     versions: tuple[PastAttempt, ...] = ()
+    further: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
     vehicle: str = ""
     since: str = ""  # date of the first line
@@ -176,6 +200,11 @@ class Attempt:
             texts += [f"{len(whole)} earlier one{plural}: {said}"] if whole else []
         texts += [f"{alone} of part{'s' * (alone != 1)} alone"] if alone else []
         texts += [f"{len(self.versions)} for other versions of {self.vehicle}"] if self.versions else []
+        names = [
+            name for name in dict.fromkeys(p.vehicle for p in (*self.others, *self.versions)) if name != self.vehicle
+        ]
+        texts += [f"also under the name {' and '.join(names)}"] if names else []
+        texts += [f"further vehicles in the ledger: {', '.join(self.further)}"] if self.further else []
         texts += [f"LEDGER DAMAGED: {text}" for text in self.damage]
         return "; ".join(texts)
 
@@ -195,7 +224,9 @@ def attempts_in(lines: Sequence[Line]) -> dict[str, list[PastAttempt]]:
     out: dict[str, list[PastAttempt]] = {}
     for line in lines:
         if line.get("state") == BEGUN:
-            kept = {key: line[key] for key in ("date", "design", "suite", "part", "seeds", "hashes", "command")}
+            kept = {
+                key: line[key] for key in ("date", "vehicle", "design", "suite", "part", "seeds", "hashes", "command")
+            }
             past = PastAttempt(**kept, verdict=verdicts.get(line["hash"], INTERRUPTED))
             out.setdefault(past.hashes["all"], []).append(past)
     return out
@@ -207,7 +238,7 @@ def begin(vehicle: str, content: Mapping[str, Any]) -> Attempt:
     `vehicle`: its name. `content`: `design`, `suite`, `part`, `seeds`, `command`, and `hashes`, which has `vehicle` and
     `all`. Raises FileError or OSError where the ledger cannot be written: no verdict without its line.
     """
-    path = ledger_path(vehicle)
+    path = ledger_path()
     line = append(path, {"state": BEGUN, "vehicle": vehicle, **content})
     return attempt_of(line, *read_lines(path), path)
 
@@ -215,7 +246,10 @@ def begin(vehicle: str, content: Mapping[str, Any]) -> Attempt:
 def attempt_of(line: Line, lines: Sequence[Line], damage: tuple[str, ...], path: Path = Path()) -> Attempt:
     """Return the attempt that begins with a line of a ledger, with the others that had begun before it."""
     lines = lines[: [each["hash"] for each in lines].index(line["hash"]) + 1]
-    known, mine = attempts_in(lines), line["hashes"]["all"]
+    family = lines_of(lines, line["vehicle"], line["hashes"]["vehicle"])
+    names, ends = {each.get("vehicle", "") for each in family}, [each for each in lines if each.get("state") == ENDED]
+    further = dict.fromkeys(each["vehicle"] for each in lines if each.get("vehicle", "") not in {"", *names})
+    known, mine = attempts_in([*family, *ends]), line["hashes"]["all"]
     same, other = list[tuple[str, PastAttempt]](), list[PastAttempt]()
     for key, repeats in known.items():
         past = [past for past in repeats if past.verdict != INTERRUPTED or past is repeats[0]][-1]
@@ -229,9 +263,10 @@ def attempt_of(line: Line, lines: Sequence[Line], damage: tuple[str, ...], path:
         len(known[mine]) > 1,
         tuple(past for key, past in same if key != mine),
         tuple(other),
+        tuple(further),
         damage,
         line["vehicle"],
-        lines[0]["date"],
+        family[0]["date"],
         line,
         path,
     )

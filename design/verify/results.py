@@ -40,11 +40,6 @@ class Results:
     in_flight: tuple[InFlightResponse, ...]
     uncovered: tuple[Uncovered, ...]  # intervals of the flight of the operating points without any
 
-    @classmethod
-    def of(cls, found: Any) -> Self:
-        """Return the results of an object that has them as attributes, such as a `Verification`."""
-        return cls(**{f.name: tuple(getattr(found, f.name)) for f in fields(cls)})
-
     def to_bytes(self) -> bytes:
         """Return all values, bit by bit, as compressed JSON."""
         return gzip.compress(text_of({f.name: list(getattr(self, f.name)) for f in fields(self)}), 1, mtime=0)

@@ -33,7 +33,6 @@ GROWS = 2.0  # least growth factor of a disturbance in a coast that is listed
 TAIL_INSTANTS = 41  # of a long tail-off
 TAIL_OFF = "tail-off, with less than"
 RESTARTED = "burns after a restart, no operating point"
-ENDS = ("apogee", "impact")  # events after which a coast is not examined
 
 
 @dataclass(frozen=True)

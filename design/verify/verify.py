@@ -17,7 +17,6 @@ from typing import Any
 
 from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.certificate.in_flight import InFlightResponse
-from maxq.design.certificate.measured_only import MeasuredNode
 from maxq.design.model.powered import loss_text, powered_flight, powered_spans
 from maxq.design.quantities import LoopLimits
 from maxq.design.verify import board_findings, flown, ledger, linear, seeds
@@ -28,7 +27,6 @@ from maxq.design.verify.floor import Evidence, computers_of, missing_evidence
 from maxq.design.verify.memory import PartsOnDisk, code_hash, content_hash
 from maxq.design.verify.parts import Parts, Watch
 from maxq.design.verify.results import Results
-from maxq.design.verify.slosh import SloshAdvice
 from maxq.design.verify.suite import (
     ACCEPTED,
     AS_DESIGNED,
@@ -44,9 +42,8 @@ from maxq.design.verify.suite import (
     overall,
     read_suite,
 )
-from maxq.design.verify.uncovered import Uncovered
 from maxq.design.verify.waivers import apply_waivers
-from maxq.design.verify.worst import WorstVehicle, worst_requirements
+from maxq.design.verify.worst import worst_requirements
 from maxq.sim.campaign.read import LoadedCampaign, description_of
 from maxq.sim.campaign.runner import CampaignProgress
 from maxq.sim.files import FileError
@@ -56,6 +53,8 @@ from maxq.sim.run.record import versions
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario, told
 
 UNDER_TEST = "code under test"
+WAITING = "waiting for"
+"""Part of the text that `watch` gets while another process flies the campaign."""
 SAMPLE = 2
 """Recalled results of each kind that are computed again."""
 
@@ -77,16 +76,8 @@ class Verification:
     suite: Suite
     scenario: LoadedScenario = field(repr=False)
     requirements: tuple[JudgedRequirement, ...]
-    flights: tuple[flown.FlownResult, ...] = field(repr=False)
-    margins: tuple[linear.MarginStudy, ...] = field(repr=False)
-    certificates: tuple[NodeCertificate, ...] = field(repr=False)
-    in_flight: tuple[InFlightResponse, ...] = field(repr=False)
+    results: Results = field(repr=False)
     campaigns: tuple[flown.CampaignResult, ...] = field(repr=False)
-    authority: tuple[linear.Authority, ...] = field(repr=False)
-    slosh: tuple[SloshAdvice, ...] = field(repr=False)
-    worst: tuple[WorstVehicle, ...] = field(repr=False)
-    measured: tuple[MeasuredNode, ...] = field(repr=False)  # of flight code without a linear model
-    uncovered: tuple[Uncovered, ...]  # intervals of the flight of the operating points without any
     left_out: tuple[str, ...]  # of the suite, for parts that the vehicle does not have
     missing_evidence: tuple[str, ...]  # below the floor of an acceptance (`floor`)
     compared: Compared  # the suite with its baseline
@@ -250,7 +241,7 @@ def verify(
     kept = PartsOnDisk(memory)
     prepared = prepare(design, loaded, vehicle, kept, candidate)
     entry, name = prepared.entry(), prepared.scenario.vehicle.name
-    lines = ledger.known_lines(ledger.ledger_path(name))
+    lines = ledger.lines_of(ledger.read_lines(ledger.ledger_path())[0], name, entry["hashes"]["vehicle"])
     drawn = seeds.chosen(prepared.seeds, lines, entry["hashes"]["design"])
     attempt = ledger.begin(name, entry)
     found = _verify(replace(prepared, seeds=drawn), attempt, kept, memory, watch, stop, workers, sample)
@@ -318,8 +309,12 @@ def _verify(
             def show(progress: CampaignProgress, k: int = k) -> None:
                 watch(f"campaign {k + 1}", progress.done, progress.total)
 
+            def wait(who: str, k: int = k) -> None:
+                interruptible(f"campaign {k + 1}: {WAITING} {who}, which is flying it", 0, 0)
+
             parts, afresh = memory or Path("runs"), memory is None
-            campaigns.append(flown.fly_campaign(loaded, asked, design, vehicle, parts, show, stop, afresh, sample))
+            given = (loaded, asked, design, vehicle, parts, show, stop, afresh, sample, wait)
+            campaigns.append(flown.fly_campaign(*given))
     with timed("recalled results computed again"):
         reused = Reused(kept.recalled_names, *kept.recheck(sample))
     found = conclude(prepared, job, results, campaigns, board_findings.kinds_of(prepared.campaigns, campaigns), attempt)
@@ -388,7 +383,7 @@ def conclude(
         suite,
         scenario,
         tuple(requirements),
-        **vars(results),
+        results=results,
         campaigns=tuple(campaigns),
         left_out=loaded.left_out,
         missing_evidence=missing,

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -33,7 +33,8 @@ from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.runs import TIME_OF, VOID, input_types, schema_of
 from maxq.sim.campaign.statistics import NOT_MET, Shown, judge_failures, tolerance_bound
 from maxq.sim.campaign.store import HISTORIES, parts_in, read_manifest, read_part
-from maxq.sim.flight.metric_table import unit_of
+from maxq.sim.flight.metric_table import METRIC_NAMES, unit_of
+from maxq.sim.run.metrics import STEP_SCALES, judged_requirements, step_failure
 from maxq.sim.run.quantities import against_limit, by_utilisation, engineering_unit, utilisation
 from maxq.sim.scenario.schema_scenario import RequirementSection
 
@@ -49,6 +50,7 @@ _KEPT_RUNS = 100_000  # 80 MB or so with a hundred columns
 _WORST = 10  # flights that are named for each requirement
 _MOST_RUNS = 20_000  # runs of a sensitivity: more do not change the digits shown
 _FEWEST_RUNS = 30
+_FINER = 12  # runs with a finer step that are named in a line; summary.json names all
 _SHUFFLES = 8
 
 
@@ -308,6 +310,50 @@ def redraws(data: DataSet) -> tuple[int, int]:
     return int(count.sum()), int((count > 0).sum())
 
 
+def finer_runs(data: DataSet) -> dict[int, int]:
+    """Return the halvings of the step by run, for the runs that were flown again for their integration errors."""
+    halvings, given = data.numbers("halvings").astype(int), data.campaign.base.scenario.run.halvings
+    return {int(data.runs[i]): int(halvings[i]) for i in np.flatnonzero(halvings > given)}
+
+
+def unfounded(data: DataSet) -> list[str]:
+    """Return a phrase for each row whose failure or success does not follow from its other columns.
+
+    A run passes if it has no cause of failure and meets all requirements. It has a cause if it lost control, or if its
+    integration errors are too large; the latter at the finest step only.
+    """
+    scenario, causes = data.campaign.base.scenario, [str(cause) for cause in data.column("cause").to_pylist()]
+    judged = judged_requirements(scenario)
+    errors = [name for name in METRIC_NAMES if name.startswith("step_error_")]
+    data.read(["lost_s", "halvings", *errors, *STEP_SCALES, *(r.metric for r in judged)])
+    met = np.ones(len(data.runs), bool)
+    for r in judged:
+        values, (kind, bound) = data.numbers(r.metric), r.bound
+        met &= values <= bound if kind == "limit" else values >= bound
+    lost_s, halvings, out = data.numbers("lost_s"), data.numbers("halvings").astype(int), list[str]()
+    columns = {name: data.numbers(name) for name in (*errors, *STEP_SCALES)}
+    for i in np.flatnonzero(~data.void).tolist():
+        run = scenario.run.model_copy(update={"halvings": int(halvings[i])})
+        inexact = step_failure(run, {name: column[i] for name, column in columns.items()}, judged)
+        lost = not math.isnan(lost_s[i])
+        if inexact and not lost and inexact not in causes[i]:
+            out.append(f"run {data.runs[i]}: its integration errors are too large for {halvings[i]} halvings")
+        elif lost and not causes[i]:
+            out.append(f"run {data.runs[i]}: control is lost without a cause")
+    wrong = np.flatnonzero(data.passed != (met & data.kept))
+    return [*out, *(f"run {data.runs[i]}: `passed` does not follow from its metrics and requirements" for i in wrong)]
+
+
+def finer_text(runs: Mapping[int, int]) -> str:
+    """Return the runs of `finer_runs` and their steps in a line, or an empty text without any."""
+    if not runs:
+        return ""
+    named = [f"{run} (1/{2**count})" for run, count in list(runs.items())[:_FINER]]
+    more = [f"and {len(runs) - _FINER} more"] * (len(runs) > _FINER)
+    what = "run" if len(runs) == 1 else "runs"
+    return f"{what} flown again with a share of the step, to reduce integration errors: {', '.join(named + more)}"
+
+
 def summary_of(
     data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], wanted: int, further: dict[str, Any]
 ) -> dict[str, Any]:
@@ -329,6 +375,7 @@ def summary_of(
         "outcomes": dict(sorted(Counter(data.outcomes).items())),
         "failed_runs": len(failed_runs(data)),
         "redraws": {"draws": drawn, "runs": in_runs},
+        "finer_runs": {str(run): count for run, count in finer_runs(data).items()},
         "warnings": data.campaign.warnings,
         "requirements": verdicts,
         "lost": losses,

@@ -23,7 +23,7 @@ from maxq.sim.campaign.targets import Refused
 from maxq.sim.files import check_writable
 from maxq.sim.log.head import LogError
 from maxq.sim.run.flight import Flight
-from maxq.sim.run.fly import FlightRun
+from maxq.sim.run.fly import FlightRun, with_half_step
 from maxq.sim.run.record import record
 from maxq.sim.scenario.loader import LoadedScenario
 
@@ -69,7 +69,10 @@ def refly(
         raise CampaignError(f"run {run} of {folder} has no scenario: {refused}") from None
     out = out or flight_folder(folder, run)
     check_writable(out, LogError)
-    flight = record(FlightRun(made.loaded, log=log), out, log=log, watch=watch, stop=stop, number=run)
+    loaded: LoadedScenario | None = made.loaded
+    while loaded is not None:
+        flight = record(FlightRun(loaded, log=log), out, log=log, watch=watch, stop=stop, number=run)
+        loaded = with_half_step(flight)
     before = DataSet(folder, campaign).row(run)
     if before is None or flight.outcome == "interrupted":
         return Reflown(flight, out, None, ())

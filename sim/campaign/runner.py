@@ -33,7 +33,7 @@ from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import LoadedCampaign, campaign_from, description_of
 from maxq.sim.campaign.runs import VOID, Row, fly_rows, packer
 from maxq.sim.campaign.statistics import OPEN, judge_failures
-from maxq.sim.campaign.store import Store, open_store, parts_in, read_part, simulator
+from maxq.sim.campaign.store import Store, Wait, open_store, parts_in, read_part, simulator
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.metrics import judge
 from maxq.sim.scenario.schema_scenario import RequirementSection
@@ -145,7 +145,10 @@ class CampaignProgress:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a call: `stopped` by the caller, `settled` before all runs were needed, or all runs flown."""
+    """The result of a call: `stopped` by the caller, `settled` before all runs were needed, or all runs flown.
+
+    `missing` are the runs that were in no part at the beginning.
+    """
 
     flown: int
     total: int
@@ -153,6 +156,7 @@ class Outcome:
     settled: bool
     wall_s: float
     notes: tuple[str, ...]
+    missing: tuple[Gap, ...]
 
 
 def run_campaign(
@@ -165,12 +169,14 @@ def run_campaign(
     stop: Callable[[], bool] = lambda: False,
     until_settled: bool = False,
     elsewhere: str = "give another --out",
+    wait: Wait | None = None,
 ) -> Outcome:
     """Fly the missing runs of a campaign into its folder, on `workers` threads (default: one for each core).
 
     `cluster`: the address of a Dask scheduler, or a dask Client, whose workers fly instead (maxq[dask]). `watch` is
     called with the progress a few times a second. If `stop` then returns True, whole runs of the current batch are
-    written and the call ends. `elsewhere`: advice for a folder that is in use or holds other data. Raises
+    written and the call ends. `elsewhere`: advice for a folder that is in use or holds other data. `wait`: called with
+    the name of the process that uses the folder until it is free; its runs are then not flown again. Raises
     CampaignError.
     """
     if until_settled and campaign.campaign.test == "fixed":
@@ -182,7 +188,7 @@ def run_campaign(
         else:
             client = stack.enter_context(_connected(cluster)) if isinstance(cluster, str) else cluster
             flyers = DaskCluster(campaign, client)
-        store, usual = open_store(folder, campaign, elsewhere)
+        store, usual = open_store(folder, campaign, elsewhere, wait)
         stack.callback(store.unlock)
         runs = campaign.campaign.runs
         gaps = list(store.missing(runs, flyers.batch(usual, runs)))
@@ -194,7 +200,7 @@ def run_campaign(
         stopped, settled = _fly(flyers, tasks, batches, progress, watch, stop, until_settled)
         batches.write_begun()
         watch(progress)
-        return Outcome(progress.flown, runs, stopped, settled, progress.elapsed_s, tuple(store.notes))
+        return Outcome(progress.flown, runs, stopped, settled, progress.elapsed_s, tuple(store.notes), tuple(gaps))
 
 
 def _fly(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from typing import Any
 
@@ -22,7 +22,7 @@ from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.input.values import NS_PER_S
 from maxq.sim.packing.flight import Packed, pack_flight, pack_for_one_vehicle
 from maxq.sim.run.flight import Flight, LoggedRows
-from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, SOFTWARE_NAME, FlightRun
+from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, SOFTWARE_NAME, FlightRun, with_half_step
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import Scenario
 
@@ -52,6 +52,7 @@ class Row:
     lost_s: float  # control lost or diverged; nan: neither
     end_s: float
     steps: int
+    halvings: int  # of the step, until the integration errors were small enough (or MOST_HALVINGS)
     redraws: int
     state_hash: str
     inputs: dict[str, Any]
@@ -63,7 +64,8 @@ class Row:
 def fly_rows(loaded: LoadedCampaign, orders: Iterable[RunOrder], stop: Callable[[], bool] = lambda: False) -> list[Row]:
     """Fly these runs one after the other, and return the rows of those flown before `stop` returned True, in order.
 
-    An error in a run becomes its row. All runs are prepared before the first is flown, and judged after the last. A
+    An error in a run becomes its row. A run whose integration errors are too large is flown again with half the step.
+    All runs are prepared before the first is flown, and judged after the last. A
     flight displaces Python's code and data from the processor's caches, and reloading them for each run costs as much
     as the preparation. Only external flight code is started in turn, because it flies in a separate process, one per
     thread. Raises CampaignError if the file rejects the draws.
@@ -76,7 +78,8 @@ def fly_rows(loaded: LoadedCampaign, orders: Iterable[RunOrder], stop: Callable[
         for run in runs:
             run.begin()
     flown = list(takewhile(lambda run: run.fly(stop), runs))
-    return [run.recorded() for run in flown]
+    rows = (run.recorded(pack, stop) for run in flown)
+    return [row for row in takewhile(lambda row: row is not None, rows) if row is not None]
 
 
 class _Run:
@@ -134,11 +137,19 @@ class _Run:
                     self.kept.append(_on_grid(rows, columns, self.envelope.rate_hz))
         return True
 
-    def recorded(self) -> Row:
-        """Return the row of a completed run."""
-        if self.row is None and self.flight is not None:
+    def recorded(self, pack: Packing, stop: Callable[[], bool]) -> Row | None:
+        """Return the row of a completed run, or None if `stop` returned True while it was flown again."""
+        while self.row is None and self.flight is not None:
             with self._errors_recorded():
-                row = recorded_row(self.made, self.flight.result())
+                flight = self.flight.result()
+                finer = with_half_step(flight)
+                if finer is not None:
+                    self.made, self.flight, self.kept = replace(self.made, loaded=finer), None, []
+                    self.packed = pack(finer.scenario)
+                    if not self.fly(stop):
+                        return None
+                    continue
+                row = recorded_row(self.made, flight)
                 if self.envelope is not None:
                     times, values = zip(*self.kept, strict=True)
                     row.history = np.concatenate(times), np.concatenate(values, axis=-1)
@@ -164,11 +175,13 @@ def packer(loaded: LoadedCampaign) -> Packing:
 
 
 def fly_scenario(loaded: LoadedScenario) -> Flight:
-    """Fly a scenario without a log."""
-    flight = _begun_flight(loaded, None, pack_flight(loaded.scenario))
-    while not flight.finished:
-        flight.fly_segment()
-    return flight.result()
+    """Fly a scenario without a log, again with half the step while its integration errors are too large."""
+    run = _begun_flight(loaded, None, pack_flight(loaded.scenario))
+    while not run.finished:
+        run.fly_segment()
+    flight = run.result()
+    finer = with_half_step(flight)
+    return flight if finer is None else fly_scenario(finer)
 
 
 def _begun_flight(loaded: LoadedScenario, envelope: Envelope | None, packed: Packed) -> FlightRun:
@@ -193,6 +206,7 @@ def recorded_row(made: Inputs, flight: Flight) -> Row:
         lost_s=min(lost, default=math.nan),
         end_s=flight.end_s,
         steps=flight.steps,
+        halvings=flight.scenario.scenario.run.halvings,
         redraws=made.redraws,
         state_hash=flight.state_hash,
         inputs=made.recorded,
@@ -203,7 +217,7 @@ def recorded_row(made: Inputs, flight: Flight) -> Row:
 
 def _void_row(run: int, outcome: str, cause: str) -> Row:
     nothing = dict.fromkeys(METRIC_NAMES, math.nan)
-    return Row(run, outcome, False, cause, math.nan, math.nan, 0, 0, "", {}, nothing, dict(nothing))
+    return Row(run, outcome, False, cause, math.nan, math.nan, 0, 0, 0, "", {}, nothing, dict(nothing))
 
 
 # the data set's columns
@@ -216,6 +230,7 @@ _COLUMNS = (
     pa.field("lost_s", pa.float64()),
     pa.field("end_s", pa.float64()),
     pa.field("steps", pa.int64(), False),
+    pa.field("halvings", pa.int32(), False),
     pa.field("redraws", pa.int32(), False),
     pa.field("state_hash", pa.string(), False),
 )

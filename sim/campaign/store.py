@@ -14,7 +14,7 @@ import contextlib
 import json
 import os
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,8 +37,10 @@ from maxq.sim.run.record import versions
 MOST_BYTES = 1 << 32
 """The largest size of a file of the data set in memory: a thousand runs take a megabyte."""
 MANIFEST, RUNS, HISTORIES, LOCK = "campaign.json", "runs", "histories", "lock"
-LAYOUT = 1
+LAYOUT = 2
 _NOT_IDENTITY = tuple(f"campaign.{key}" for key in ("runs", "batch", "keep", "success", "confidence"))
+Wait = Callable[[str], None]
+"""A function that waits a moment for a process, whose name it gets."""
 _WORDS = ("name", "description", "source", "file")
 """The keys that change nothing in a flight."""
 
@@ -86,18 +88,28 @@ class Store:
             _write_table(histories, self.folder / HISTORIES / name)
         _write_table(table, self.folder / RUNS / name)
 
-    def lock(self, elsewhere: str) -> None:
-        """Take the lock, or raise CampaignError if another process writes here. The lock ends with the process."""
+    def lock(self, elsewhere: str, wait: Wait | None = None) -> None:
+        """Take the lock. The lock ends with the process.
+
+        If another process writes here, `wait` is called with its name until the lock is free. Without `wait`,
+        CampaignError is raised.
+        """
         path = self.folder / LOCK
         try:
-            self._lock.acquire(blocking=False)
+            while True:
+                try:
+                    self._lock.acquire(blocking=False)
+                    break
+                except filelock.Timeout:
+                    other = ""
+                    with contextlib.suppress(OSError):
+                        other = path.read_text(errors="replace").strip()
+                    who = f"process {other}" if other else "another process"
+                    if wait is None:
+                        problem = f"{who} is flying this campaign; wait for it, or {elsewhere}"
+                        raise CampaignError(f"{self.folder}: {problem}") from None
+                    wait(who)
             path.write_text(str(os.getpid()))
-        except filelock.Timeout:
-            other = ""
-            with contextlib.suppress(OSError):
-                other = path.read_text(errors="replace").strip()
-            who = f"process {other}" if other else "another process"
-            raise CampaignError(f"{self.folder}: {who} is flying this campaign; wait for it, or {elsewhere}") from None
         except OSError as error:
             self._lock.release()
             raise CampaignError(cannot_write(path, error)) from error
@@ -162,8 +174,10 @@ def _write_table(table: pa.Table, path: Path) -> None:
         pq.write_table(table, file, compression="snappy", use_dictionary=texts, write_page_checksum=True)
 
 
-def open_store(folder: Path, campaign: LoadedCampaign, elsewhere: str = "give another --out") -> tuple[Store, int]:
-    """Create and lock the folder of a campaign, and return it with the size of its batches.
+def open_store(
+    folder: Path, campaign: LoadedCampaign, elsewhere: str = "give another --out", wait: Wait | None = None
+) -> tuple[Store, int]:
+    """Create and lock the folder of a campaign, and return it with the size of its batches (`wait`: see `Store.lock`).
 
     Raises CampaignError if it cannot be written, holds other data or another campaign, or is in use.
     """
@@ -175,7 +189,7 @@ def open_store(folder: Path, campaign: LoadedCampaign, elsewhere: str = "give an
             raise CampaignError(f"{folder}: holds other files ({there[0]}); {elsewhere}")
         folder.mkdir(parents=True, exist_ok=True)
         store = Store(folder, campaign)
-        store.lock(elsewhere)
+        store.lock(elsewhere, wait)
         try:
             batch = _same_campaign(folder, campaign, elsewhere)
             (folder / RUNS).mkdir(exist_ok=True)

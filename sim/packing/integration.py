@@ -88,7 +88,7 @@ def worst_error(scenario: Scenario) -> MethodError | None:
 
 
 def step_ns(scenario: Scenario, stage: Stage) -> int:
-    """Return the longest step of a stage, ns: run.step_s, or the longest that satisfies run.accuracy.
+    """Return the longest step of a stage, ns: run.step_s, or the longest that satisfies run.accuracy, halved.
 
     Modes, actuators and the first gyro are propagated exactly (sim/flight/step.py). Simpson's rule integrates their
     inputs, with a relative error (w h)^4 / 2880 for a force of w rad/s. Further sensors, a TVC load, and the modes that
@@ -105,7 +105,7 @@ def step_ns(scenario: Scenario, stage: Stage) -> int:
     ]
     fastest_hz += [(hz, 2880.0) for given in scenario.injection for hz in given.highest_hz]
     longest_s = [(share * accuracy) ** 0.25 / (2.0 * math.pi * hz) for hz, share in fastest_hz if hz > 0.0]
-    return int(NS_PER_S * min((LONGEST_S, *longest_s)))
+    return int(NS_PER_S * min((LONGEST_S, *longest_s))) >> scenario.run.halvings
 
 
 def oscillations(scenario: Scenario) -> Iterator[Oscillation]:

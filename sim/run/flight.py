@@ -73,6 +73,7 @@ class Flight(Tabular):
     verdicts: tuple[Verdict, ...]
     section_extremes: tuple[SectionExtreme, ...]
     failures: tuple[str, ...]  # failures and their times: control lost, diverged, above the wind profile
+    inexact: bool  # control was kept, and an estimated integration error exceeds run.accuracy
     outcome: str
     cause: str
     end_s: float

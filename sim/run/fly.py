@@ -45,9 +45,11 @@ from maxq.sim.input.values import to_ns
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
 from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, GrowingRows, LoggedRows, copied
 from maxq.sim.run.metrics import (
+    ATTITUDE_METRICS,
     cutoff_metrics,
     end_metrics,
     judge,
+    judged_requirements,
     orbit_metrics,
     section_extremes,
     section_metrics,
@@ -57,7 +59,7 @@ from maxq.sim.run.quantities import propellant_text
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_launch import Cutoff
-from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_scenario import MOST_HALVINGS, Scenario
 from maxq.sim.vehicle.state import CAUSES, R_I, V_I, Sizes, state_names
 from maxq.sim.world.earth import Earth
 
@@ -76,12 +78,6 @@ BOOSTER_NAMES = ("booster_ignition", "booster_burnout")
 _OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # which each stage has
 CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
 SOFTWARE_NAME = "flight_software"  # external flight code has ended the flight
-ATTITUDE_METRICS = (  # metrics of controlled vehicles
-    "max_attitude_error_deg",
-    "max_roll_error_deg",
-    "max_computer_attitude_error_deg",
-    "max_computer_roll_error_deg",
-)
 BROKEN_WAVE = "the wave breaks; from here on, the pendulum model is not valid"
 CONTROL_LOST_CAUSE = f"the attitude error exceeds {math.degrees(CONTROL_LOST_RAD):.3g} deg under thrust"
 
@@ -371,11 +367,10 @@ class FlightRun:
         metrics |= orbit_metrics(earth, r_I_m, v_I_mps)._asdict()
         metrics |= self._of_launch(metric_times_s) | self._of_cutoff(earth, metric_times_s)
         metric_times_s |= section_times._asdict()
-        judged = scenario.requirement
-        if scenario.design is None or scenario.vehicle.computer is None:  # no control: there is no attitude error
+        judged = judged_requirements(scenario)
+        if scenario.design is None or scenario.vehicle.computer is None:
             metrics |= dict.fromkeys(ATTITUDE_METRICS, math.nan)
-            judged = tuple(r for r in judged if r.metric not in ATTITUDE_METRICS)
-        inexact = step_failure(accuracy, metrics, judged) if accuracy is not None else ""
+        inexact = step_failure(scenario.run, metrics, judged)
         failed = [e for e in events if e.name in (CONTROL_LOST_NAME, DIVERGED_NAME, SOFTWARE_NAME)]
         return Flight(
             scenario=self.loaded,
@@ -392,6 +387,7 @@ class FlightRun:
                 *_above_the_wind(scenario, metrics["max_altitude_m"]),
                 *self._missed_orbit(),
             ),
+            inexact=bool(inexact and not failed),
             outcome=outcome,
             cause=next((e.detail for e in failed if e.name == outcome), ""),
             end_s=self.now_s,
@@ -488,6 +484,18 @@ def fly(
         if watch is not None:
             watch(run, rows)
     return run.result(kept.rows() if log else None)
+
+
+def with_half_step(flight: Flight) -> LoadedScenario | None:
+    """Return the scenario of an inexact flight with half the step, or None for another flight and after MOST_HALVINGS.
+
+    The scenario follows from the flight's inputs alone, so that a repetition has the same step.
+    """
+    loaded, run = flight.scenario, flight.scenario.scenario.run
+    if not flight.inexact or flight.outcome == "interrupted" or run.halvings >= MOST_HALVINGS:
+        return None
+    finer = run.model_copy(update={"halvings": run.halvings + 1})
+    return replace(loaded, scenario=loaded.scenario.model_copy(update={"run": finer}))
 
 
 def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:

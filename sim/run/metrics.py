@@ -12,7 +12,7 @@ from maxq.sim.flight.metric_table import CutoffMetrics, EndMetrics, OrbitMetrics
 from maxq.sim.run.quantities import against_limit, by_utilisation, meets, sign_of, utilisation
 from maxq.sim.scenario.schema_environment import Site
 from maxq.sim.scenario.schema_launch import Cutoff, OrbitTarget
-from maxq.sim.scenario.schema_scenario import RequirementSection
+from maxq.sim.scenario.schema_scenario import MOST_HALVINGS, RequirementSection, Run, Scenario
 from maxq.sim.vehicle.loads.kernel import BENDING, COMPRESSION, KINDS, SHEAR, TENSILE, SectionLoads, extreme_index
 from maxq.sim.world.earth import FLAT, INVERSE_SQUARE, J2, Earth
 
@@ -21,26 +21,50 @@ _CONVERGED_RAD = 1e-13
 
 
 _OF_ERRORS = {
-    "step_error_attitude_deg": "max_attitude_error_deg",
-    "step_error_bending_m": "max_bending_m",
-    "step_error_slosh_deg": "max_slosh_deg",
+    "step_error_attitude_deg": ("max_attitude_error_deg", 5e-4),
+    "step_error_bending_m": ("max_bending_m", 1e-5),
+    "step_error_slosh_deg": ("max_slosh_deg", 5e-4),
 }
-"""The metric of which each estimated error is a share."""
+"""The metric of which each estimated error is a share, and the error that is allowed in a quiet flight.
+
+5e-4 deg are about a count of KSR-III's attitude converter (1e-5 rad). A mode that moves the gimbal by 1e-5 m turns a
+sensor by about as much.
+"""
 
 
-def step_failure(accuracy: float, metrics: Mapping[str, float], requirements: Sequence[RequirementSection]) -> str:
-    """Return a message if an estimated error exceeds the `accuracy`, else an empty text.
+STEP_SCALES = tuple(of for of, _ in _OF_ERRORS.values())
+"""The metrics to which estimated errors are relative."""
+ATTITUDE_METRICS = (  # metrics of controlled vehicles
+    "max_attitude_error_deg",
+    "max_roll_error_deg",
+    "max_computer_attitude_error_deg",
+    "max_computer_roll_error_deg",
+)
 
-    The accuracy is relative to a required value, or to the reached one where nothing is required.
+
+def judged_requirements(scenario: Scenario) -> tuple[RequirementSection, ...]:
+    """Return the requirements by which a flight is judged. Without control, there is no attitude error."""
+    controlled = scenario.design is not None and scenario.vehicle.computer is not None
+    return tuple(r for r in scenario.requirement if controlled or r.metric not in ATTITUDE_METRICS)
+
+
+def step_failure(run: Run, metrics: Mapping[str, float], requirements: Sequence[RequirementSection]) -> str:
+    """Return a message with its remedy if an estimated error exceeds `run.accuracy`, else an empty text.
+
+    The accuracy is relative to a required value. Where nothing is required, it is relative to the value reached, and
+    errors that no sensor resolves are allowed.
     """
-    for name, of in _OF_ERRORS.items():
-        limits = [r.limit for r in requirements if r.metric == of and r.limit is not None]
-        allowed = accuracy * (limits[0] if limits else metrics[of])
-        if metrics[name] > allowed:
-            unit = unit_of(name)
+    if run.accuracy is None:
+        return ""
+    for name, (of, least) in _OF_ERRORS.items():
+        limit = min((r.limit for r in requirements if r.metric == of and r.limit is not None), default=None)
+        allowed = run.accuracy * (metrics[of] if limit is None else limit)
+        if metrics[name] > (max(allowed, least) if limit is None else allowed):
+            unit, finer = unit_of(name), run.halvings < MOST_HALVINGS
             return (
-                f"integration: {title_of(name)} {metrics[name]:.2g} {unit} exceeds run.accuracy = {accuracy:g} of "
-                f"{title_of(of)}, {allowed:.2g} {unit}"
+                f"integration: {title_of(name)} {metrics[name]:.2g} {unit} exceeds run.accuracy = {run.accuracy:g} of "
+                f"{title_of(of)}, {allowed:.2g} {unit}; "
+                f"set {f'run.halvings = {run.halvings + 1}' if finer else 'run.step_s instead of run.accuracy'}"
             )
     return ""
 

@@ -182,6 +182,8 @@ Ending = Literal["impact", "apogee", "burnout", "tumble"]
 
 
 USUAL_STEP_S = 0.001
+MOST_HALVINGS = 3
+"""The most halvings of the step of run.accuracy: a step of 10 ms becomes 1.25 ms, near that of a single flight."""
 
 
 class Run(Section):
@@ -193,6 +195,9 @@ class Run(Section):
         "integration error allowed, as a share of the requirements (docs/performance.md): steps as long as the "
         "vehicle's fastest oscillation allows, instead of step_s (campaigns: 0.05 if neither is given)"
     )
+    halvings: Annotated[int, Field(ge=0, le=MOST_HALVINGS)] = optional(
+        "number of times that the step of run.accuracy is halved", 0
+    )
     seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("seed of all noise", 1)
     start_s: Seconds = optional("vehicle clock at the start, s, whole ns", 0.0)
     freeze_vehicle_at_s: Seconds | None = optional(
@@ -203,6 +208,8 @@ class Run(Section):
     def _check(self) -> None:
         if self.accuracy is not None and self.step_s != USUAL_STEP_S:
             raise refuse("the step follows from run.accuracy", "one of step_s, accuracy", "step_s")
+        if self.accuracy is None and self.halvings > 0:
+            raise refuse("there is no run.accuracy whose step could be halved", "0 without run.accuracy", "halvings")
         if self.step_s > self.duration_s:
             raise refuse("is longer than the flight", f"at most duration_s = {self.duration_s:g}", "step_s")
         if len(set(self.stop_at)) != len(self.stop_at):

@@ -26,7 +26,7 @@ from maxq.design.verify.parts import Parts
 from maxq.design.verify.results import Results
 from maxq.design.verify.suite import CERTIFICATE, WORST
 from maxq.design.verify.verify import Prepared, conclude, part_alone, prepare
-from maxq.sim.campaign.analysis import DataSet
+from maxq.sim.campaign.analysis import DataSet, unfounded
 from maxq.sim.campaign.store import MANIFEST, parts_in
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.metrics import Verdict, judge
@@ -150,7 +150,7 @@ def _ledger(folder: Path, record: dict[str, Any], found: Findings) -> None:
         f"ledger of attempts: {text}",
         "ledger of attempts: its copy in the pack does not contain this attempt, its number or its verdict",
     )
-    if lines and (own := ledger.ledger_path(lines[0].get("vehicle", ""))).exists():
+    if lines and (own := ledger.ledger_path()).exists():
         here = {line["hash"] for line in ledger.read_lines(own)[0]}
         lost = len(set(hashes) - here)
         if here & set(hashes):
@@ -190,8 +190,7 @@ def _opened(folder: Path, record: dict[str, Any], given: dict[str, Any]) -> Pack
     entry = prepared.entry()
     if begun is None:  # which is a difference
         return Pack(folder, record, prepared, entry, ledger.Attempt(line={"date": "", "hash": ""}), bool(given))
-    before = lines[: lines.index(begun)]
-    known = [line for line in before if line.get("state") in (ledger.BEGUN, ledger.REGISTERED)]
+    known = ledger.lines_of(lines[: lines.index(begun)], begun["vehicle"], begun["hashes"]["vehicle"])
     drawn = seeds.chosen(prepared.seeds, known, entry["hashes"]["design"])
     attempt = ledger.attempt_of(begun, lines, damage)
     return Pack(folder, record, replace(prepared, seeds=drawn), entry, attempt, bool(given))
@@ -323,6 +322,11 @@ def _derived(pack: Pack, results: Results, job: Parts, found: Findings) -> list[
     if not differences:
         rows = len(record["requirements"])
         found.agrees.append(f"verdict and {rows} requirements, derived again from the results in the pack")
+    for one in data:
+        odd = [f"campaign {one.campaign.name}: {text}" for text in unfounded(one)]
+        found.differs += odd
+        if not odd:
+            found.agrees.append(f"success of {len(one.runs)} runs of {one.campaign.name}, by their metrics")
     if not pack.replaced:
         found.add(
             _is_command(shlex.split(given), prepared),

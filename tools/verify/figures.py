@@ -39,7 +39,7 @@ def plots(found: Verification, command: str) -> list[Plot]:
     out = [_vehicle(found)]
     if found.scenario.design is not None:
         out.append(filter_plot(found.scenario.vehicle, found.scenario.design))
-    if found.flights:
+    if found.results.flights:
         out += [_flights(found), _worst_flights(found)]
     wanted = found.suite.margins
     if wanted is not None and found.scenario.design is not None:
@@ -48,14 +48,14 @@ def plots(found: Verification, command: str) -> list[Plot]:
             times_s = [t for m in studies for t in m.times_s]
             judged = judge(operating_points.nodes(found.scenario, times_s, plane=plane), found.scenario.design)
             out += [_bode(judged, name), _nichols(judged, wanted, name)]
-    lines = [c for c in found.certificates if len(c.responses.lines_hz)]
+    lines = [c for c in found.results.certificates if len(c.responses.lines_hz)]
     if lines:
         out.append(_certificate(lines))
     for k, _ in enumerate(found.campaigns):
         out += _campaign(found, k)
-    if found.authority:
+    if found.results.authority:
         out.append(_authority(found))
-    if found.slosh:
+    if found.results.slosh:
         out.append(_slosh(found))
     return out
 
@@ -80,7 +80,7 @@ def _vehicle(found: Verification) -> Plot:
     lowest = vehicle.stages[0]
     marks = [("gyro", lowest.gyro_station_m, "green")] if lowest.gyro_station_m is not None else []
     marks += [("gimbal", lowest.engine.gimbal_station_m, "purple")] if lowest.engine is not None else []
-    first = [a for a in found.slosh if a.stage == 0]
+    first = [a for a in found.results.slosh if a.stage == 0]
     marks += [(f"CG at {a.time_s:.3g} s", a.cg_station_m, "red") for a in (*first[:1], *first[-1:])]
     caption = "To scale. The shapes of nose and fins are assumed if the vehicle file does not state them."
     return side_view.figure(found.scenario.vehicle.name, bodies, marks, caption)
@@ -106,14 +106,14 @@ _SHOWN = {
 def _flights(found: Verification) -> Plot:
     panels = []
     for title, (pitch, yaw, metric) in _SHOWN.items():
-        strain = _hardest_first(found.flights, (pitch, yaw))
+        strain = _hardest_first(found.results.flights, (pitch, yaw))
         series = list[Series]()
         for n, f in reversed(list(enumerate(strain))):
             size = np.maximum(np.abs(f.histories[pitch]), np.abs(f.histories[yaw]))
             how = look(n) | {"width": 1.8} if n < 3 else {"colour": "grey", "width": 0.7}
             name = f.name if n < 3 else "all others"
             series.append(line(*thinned(f.time_s, size), name, who=f.name, command=f.again, **how))
-        bounds = {v.bound[1] for f in found.flights for v in f.verdicts if v.requirement.metric == metric}
+        bounds = {v.bound[1] for f in found.results.flights for v in f.verdicts if v.requirement.metric == metric}
         series += [limit(bound) for bound in sorted(bounds)]
         panels.append(Panel(f"{title}, larger of pitch and yaw", series, "time, s", "deg"))
     caption = "All scenarios under thrust. The three with the largest value in each panel are named. Red: limits."
@@ -132,7 +132,7 @@ def _worst_flights(found: Verification) -> Plot:
         return min(shares, default=math.inf) if not f.failures else -math.inf
 
     panels = []
-    for f in sorted(found.flights, key=room)[:_WORST_FLIGHTS]:
+    for f in sorted(found.results.flights, key=room)[:_WORST_FLIGHTS]:
         for title, (pitch, yaw, metric) in _SHOWN.items():
             axes = enumerate(((pitch, "pitch"), (yaw, "yaw")))
             series = [
@@ -151,7 +151,7 @@ def _worst_flights(found: Verification) -> Plot:
 
 def _planes(found: Verification, wanted: LinearMargins) -> list[tuple[str, Plane, list[MarginStudy]]]:
     """Return a name, the plane and its studies of each plane; planes with equal margins are one."""
-    each = {plane: [m for m in found.margins if m.plane == plane] for plane in wanted.planes}
+    each = {plane: [m for m in found.results.margins if m.plane == plane] for plane in wanted.planes}
     have: list[tuple[str, Plane, list[MarginStudy]]] = [(str(plane), plane, s) for plane, s in each.items() if s]
     if len(have) == 2 and len(have[0][2]) == len(have[1][2]) and all(map(_equal, have[0][2], have[1][2])):
         return [(f"{have[0][0]}-and-{have[1][0]}", *have[0][1:])]
@@ -314,7 +314,7 @@ def _campaign(found: Verification, number: int) -> list[Plot]:
 
 
 def _authority(found: Verification) -> Plot:
-    every = np.array([(a.time_s, a.ratio, a.wind_mps) for a in found.authority])
+    every = np.array([(a.time_s, a.ratio, a.wind_mps) for a in found.results.authority])
     apart = np.flatnonzero(np.diff(every[:, 0]) > 1.5) + 1  # stages
     times, ratio, wind = np.insert(every, apart, np.nan, axis=0).T
     shares = ((1.0, "all of the gimbal angle", ""), (0.5, "half of it", "6 3"), (0.25, "a quarter", "2 2"))
@@ -335,8 +335,8 @@ def _authority(found: Verification) -> Plot:
 
 def _slosh(found: Verification) -> Plot:
     stations, damping = list[Series](), list[Series]()
-    for stage in sorted({a.stage for a in found.slosh}):
-        one = list({a.time_s: a for a in found.slosh if a.stage == stage}.values())
+    for stage in sorted({a.stage for a in found.results.slosh}):
+        one = list({a.time_s: a for a in found.results.slosh if a.stage == stage}.values())
         times = [a.time_s for a in one]
         low, high = [a.percussion_station_m for a in one], [a.cg_station_m for a in one]
         stations.append(
@@ -350,8 +350,8 @@ def _slosh(found: Verification) -> Plot:
                 "opacity": 0.15,
             }
         )
-    for n, (stage, tank) in enumerate(sorted({(a.stage, a.tank) for a in found.slosh})):
-        mine = [a for a in found.slosh if (a.stage, a.tank) == (stage, tank)]
+    for n, (stage, tank) in enumerate(sorted({(a.stage, a.tank) for a in found.results.slosh})):
+        mine = [a for a in found.results.slosh if (a.stage, a.tank) == (stage, tank)]
         here, name = [a.time_s for a in mine], tank_name(found.scenario.vehicle, stage, tank)
         stations.append(line(here, [a.bob_station_m for a in mine], name, **look(n)))
         damping.append(line(here, [a.needed for a in mine], f"{name}", **look(n)))

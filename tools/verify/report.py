@@ -19,10 +19,10 @@ from maxq.design.certificate.measured_only import MeasuredNode
 from maxq.design.verify.compared import against_basis
 from maxq.design.verify.flown import FlownResult
 from maxq.design.verify.names import tank_name
-from maxq.design.verify.results import Results
 from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED, JudgedRequirement
 from maxq.design.verify.verify import Verification
 from maxq.design.verify.worst import WorstVehicle
+from maxq.sim.campaign.analysis import finer_text
 from maxq.sim.campaign.statistics import MET
 from maxq.sim.files import plain_name, write_whole
 from maxq.sim.flight.metric_table import unit_of
@@ -74,8 +74,8 @@ def write_pack(found: Verification, folder: Path, command: str, pack: bool, sign
     """
     (folder / f"{VERDICT_NAME}{SUFFIX}").unlink(missing_ok=True)  # of an earlier pack
     files = [write_attempts(found, folder), *(write_runs(found, folder) if pack else [])]
-    files += [write_whole(folder / RESULTS_NAME, Results.of(found).to_bytes())] if pack else []
-    for w in found.worst:
+    files += [write_whole(folder / RESULTS_NAME, found.results.to_bytes())] if pack else []
+    for w in found.results.worst:
         files.append(write_whole(folder / worst_name(w), w.text))
     if pack:
         from maxq.tools.verify.figures import plots  # noqa: PLC0415  # lazy: SciPy comes with it
@@ -107,6 +107,7 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
         board_tables=board_tables(found),
         record_lines=record_lines(found),
         tank_name=tank_name,
+        finer_text=finer_text,
         signed=signed,
         gain_heads=GAIN_HEADS,
         summary=_summary(found),
@@ -114,9 +115,9 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
         repeats=list(
             dict.fromkeys((r.name, r.again) for r in found.requirements if r.judgement != ACCEPTED and r.again)
         ),
-        matrix=_matrix(found.flights),
+        matrix=_matrix(found.results.flights),
         loop=_loop(found),
-        not_covered=uncovered_lines(found.scenario.vehicle, found.uncovered),
+        not_covered=uncovered_lines(found.scenario.vehicle, found.results.uncovered),
         **dated,
     )
 
@@ -124,18 +125,18 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
 def _summary(found: Verification) -> list[dict[str, Any]]:
     """Return for each part its requirements, and the numbers met, rejected and undecided."""
     suite, margins = found.suite, found.suite.margins
-    asked = {"scenarios": f"{len(found.flights)} flights, each within its limits"}
+    asked = {"scenarios": f"{len(found.results.flights)} flights, each within its limits"}
     if margins is not None:
-        nodes = sum(len(m.times_s) for m in found.margins)
+        nodes = sum(len(m.times_s) for m in found.results.margins)
         asked["margins"] = f"linear margins of the design at {nodes} operating points, {' and '.join(margins.planes)}"
-        vehicles = len(found.margins[0].random) + len(found.margins[0].corners) if found.margins else 0
+        vehicles = next((len(m.random) + len(m.corners) for m in found.results.margins), 0)
         asked["dispersed"] = f"the same of {vehicles} {found.deviations or 'dispersed vehicles'}"
     if suite.certificate is not None:
-        nodes = len(found.certificates)
+        nodes = len(found.results.certificates)
         asked["certificate"] = f"linear loop and flight agree at {nodes} operating point{'s' * (nodes != 1)}"
-        if found.measured:
+        if found.results.measured:
             asked["certificate"] = "flight code responds in the ascent as at frozen points"
-    asked["measured only"] = f"margins of flight code, measured at {len(found.measured)} operating points"
+    asked["measured only"] = f"margins of flight code, measured at {len(found.results.measured)} operating points"
     asked["campaign"] = "; ".join(
         f"{c.runs} flights, {100.0 * c.success:g} % with {100.0 * c.confidence:g} % confidence" for c in found.campaigns
     )
@@ -275,6 +276,7 @@ def _headings(part: Sequence[JudgedRequirement]) -> list[str]:
 
 def report(found: Verification, title: str) -> list[str]:
     """Return every requirement, one per row, below the name of its part and plane."""
+    measured = found.results.certificates or found.results.measured
     rows: list[tuple[str, ...]] = [("requirement", "outcome", "limit", "value", "margin to limit", "at")]
     headed = [(_headings(list(group)), part) for part, group in groupby(found.requirements, lambda r: r.part)]
     every = zip(found.requirements, (f"{part}{h}" for own, part in headed for h in own), strict=True)
@@ -287,13 +289,14 @@ def report(found: Verification, title: str) -> list[str]:
     return [
         title,
         *map(printable, (*record_lines(found), *waiver_lines(found))),
+        *(f"{printable(c.name)}: {text}" for c in found.campaigns if (text := finer_text(c.finer))),
         *baseline_lines(found),
         *([printable(from_here(found.deviations))] if found.deviations else []),
         "",
         *aligned(rows, "  ", right=(4,), drop=(5, 4)),
-        *(["", *uncovered_table(found.scenario.vehicle, found.uncovered)] if found.uncovered else []),
+        *(["", *uncovered_table(found.scenario.vehicle, found.results.uncovered)] if found.results.uncovered else []),
         *_listed("below the floor of an acceptance", found.missing_evidence),
-        *(["", *measured_lines(found)] if found.part and (found.certificates or found.measured) else []),
+        *(["", *measured_lines(found)] if found.part and measured else []),
     ]
 
 
@@ -308,10 +311,10 @@ def measured_lines(found: Verification) -> list[str]:
         texts = [f"{factor * x:.2f} {shown_unit}" if math.isfinite(x) else "-" for x in values]
         rows.append((f"{at.time_s:g} s", at.plane, what.replace("_", " "), *texts, remark))
 
-    for certificate in found.certificates:
+    for certificate in found.results.certificates:
         for m in certificate.margins:
             row(certificate, m.what, m.unit, (m.measured, m.held), m.reason)
-    for node in found.measured:
+    for node in found.results.measured:
         for measured in node.margins:
             row(node, measured.what, measured.unit, (measured.measured, measured.linear), measured.reason)
         if node.stable:
@@ -397,7 +400,7 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "part": found.part,
         "left_out": found.left_out,
         "deviations": found.deviations,
-        "not_covered": uncovered_record(found.uncovered),
+        "not_covered": uncovered_record(found.results.uncovered),
         "more_runs": found.more_runs,
         "command": command,
         "asked": found.asked,
@@ -410,17 +413,25 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         },
         "board": board_record(found),
         "against_basis": against_basis(found.suite, found.scenario),
-        "flights": [{key: getattr(f, key) for key in FLIGHT} for f in found.flights],
+        "flights": [{key: getattr(f, key) for key in FLIGHT} for f in found.results.flights],
         "margins": [
             {"plane": m.plane, "stage": m.stage, "times_s": m.times_s, "as_designed": m.nominal.nodes}
-            for m in found.margins
+            for m in found.results.margins
         ],
-        "certificate": [certificate_record(c) for c in found.certificates],
-        "measured_only": [measured_record(n) for n in found.measured],
-        "authority": [vars(a) for a in found.authority],
-        "worst": [_worst(w) for w in found.worst],
-        "slosh": [vars(a) | {"in_band": a.in_band} for a in found.slosh],
-        "campaigns": [{"name": c.name, "runs": c.runs, "folder": str(c.folder)} for c in found.campaigns],
+        "certificate": [certificate_record(c) for c in found.results.certificates],
+        "measured_only": [measured_record(n) for n in found.results.measured],
+        "authority": [vars(a) for a in found.results.authority],
+        "worst": [_worst(w) for w in found.results.worst],
+        "slosh": [vars(a) | {"in_band": a.in_band} for a in found.results.slosh],
+        "campaigns": [
+            {
+                "name": c.name,
+                "runs": c.runs,
+                "folder": str(c.folder),
+                "finer_runs": {str(k): n for k, n in c.finer.items()},
+            }
+            for c in found.campaigns
+        ],
         "hashes": found.hashes,
         "versions": found.versions,
         "parts": {"recalled": found.recalled, "worked_out": found.worked_out},

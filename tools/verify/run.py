@@ -18,7 +18,7 @@ from maxq.design.verify.compared import against_basis
 from maxq.design.verify.flown import load_wanted
 from maxq.design.verify.judging import judge
 from maxq.design.verify.parts import Watch
-from maxq.design.verify.verify import SAMPLE, Verification, part_alone, prepare, verify
+from maxq.design.verify.verify import SAMPLE, WAITING, Verification, part_alone, prepare, verify
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.files import check_writable, plain_name
 from maxq.sim.input.errors import ScenarioError
@@ -85,7 +85,7 @@ def execute(
                     loaded,
                     vehicle=vehicle,
                     memory=None if afresh else memory.default_folder(),
-                    watch=progress.show,
+                    watch=_announced(progress),
                     stop=stop,
                     sample=sample,
                 )
@@ -118,6 +118,19 @@ def execute(
     return _EXIT[report.ranked(found)[0].judgement]
 
 
+def _announced(progress: Progress) -> Watch:
+    """Return the callback that shows progress, and also says once that another process is waited for."""
+    said = set[str]()
+
+    def show(what: str, done: int, of: int) -> None:
+        if WAITING in what and what not in said:
+            said.add(what)
+            say("simverify", what)
+        progress.show(what, done, of)
+
+    return show
+
+
 def design_name(given: str) -> str:
     """Return a design or flight code as `verify` takes it. Raises ScenarioError."""
     return given if flight_code_key(given) else design_path(given)
@@ -128,14 +141,15 @@ def _register(designs: Sequence[str], loaded: suites.LoadedSuite, vehicle: str |
     for design in designs:
         prepared = prepare(design, loaded, vehicle, memory.PartsOnDisk(memory.default_folder()))
         name, vehicle_hash = prepared.scenario.vehicle.name, prepared.entry()["hashes"]["vehicle"]
-        path = ledger.ledger_path(name)
+        path = ledger.ledger_path()
         try:
-            line = seeds.registered(prepared.seeds, ledger.known_lines(path), vehicle_hash)
+            known = ledger.lines_of(ledger.read_lines(path)[0], name, vehicle_hash)
+            line = seeds.registered(prepared.seeds, known, vehicle_hash)
         except ValueError as error:
             raise CommandError(str(error)) from None
         if not line["seeds"]:
             raise CommandError("no seed is chosen by hand; give one, such as --set campaign.0.seed=7")
-        ledger.append(path, line)
+        ledger.append(path, {"vehicle": name, **line})
         tell(f"registered for {name}: " + ", ".join(f"seed {value} of {of}" for of, value in line["seeds"].items()))
     return Exit.OK
 
