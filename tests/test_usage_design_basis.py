@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import optimise_kit as kit
 import petrelkit as petrel
 import pytest
@@ -27,7 +28,9 @@ import pytest
 import maxq
 from maxq import ScenarioError
 from maxq.design.case.basis import Basis, DesignLimits, stated_basis
+from maxq.design.case.schema import read_case
 from maxq.design.laws.design_file import design_text
+from maxq.design.optimise.over_time import instants_beside
 from maxq.design.optimise.solve import solve
 from maxq.design.verify.compared import against_basis
 from maxq.design.verify.judging import Wanted, checks, judge, judge_solution, stage_checks
@@ -234,8 +237,41 @@ def again(name: str) -> list[str]:
     return said[0].split() if said else []
 
 
-def test_every_other_shipped_design_has_the_line_that_makes_it() -> None:
-    assert {name for name in builtin_files("design") if not again(name)} == GIVEN
+def test_a_shipped_design_has_the_line_that_makes_it_or_states_its_source() -> None:
+    sourced = {name for name, path in builtin_files("design").items() if path.read_text().startswith("# Source: ")}
+    assert sourced == {name for name in builtin_files("design") if not again(name)} == GIVEN
+
+
+@pytest.mark.slow
+def test_the_given_robust_design_meets_the_dispersed_limits_of_its_case(capsys: Printed) -> None:
+    """At 50 s, which has the least gain margin of the eleven points."""
+    asked = read_case("ksr3-robust").case.robust
+    with_basis("ksr3-robust", ("[basis.limits]", "[basis.robust]\n\n[basis.limits]"))
+    code, _, record = analysed(capsys, "mine.toml", "--at", "50")
+    basis = stated_basis(maxq.load_design("mine.toml"))
+    assert basis is not None
+    assert basis.robust == asked
+    found = {c["key"]: c["worst"] for c in record["limits"] if c["key"].startswith("dispersed_")}
+    assert (code, found["dispersed_unstable_poles"]) == (0, 0)
+    assert found["dispersed_gain_margin_db"] == pytest.approx(4.45, abs=0.01), "of 3 dB; stated in the file"
+    assert found["dispersed_phase_margin_deg"] > 40.0, "of 15 deg"
+
+
+@pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.long)])
+def test_a_file_states_what_its_design_misses_between_the_operating_points(every: bool) -> None:
+    """The shares of ksr3-ringed: at the two instants in its file, and at all 240."""
+    text = builtin_files("design")["ksr3-ringed"].read_text()
+    scenario = load_scenario("ksr3-ringed")
+    assert scenario.design is not None
+    basis = bases_of(scenario, scenario.design, "")[0]
+    assert (basis.between_nodes, basis.nodes_s is not None) == ("ignore", True)
+    times_s = instants_beside(basis.nodes_s or ()) if every else [2.8, 13.04]
+    judged = judge(maxq.nodes(scenario, times_s), scenario.design)
+    found = {c.key: c for c in stage_checks(judged, scenario.design, basis, "sampled")}
+    missed = {key: float(np.max(np.abs(c.values - c.limit)[~c.met()])) for key, c in found.items() if not c.passed}
+    assert missed == pytest.approx({"second_mode_db": 0.042, "rigid_hz": 0.0002, "rigid_zeta": 0.0003}, rel=0.1)
+    for said in ("mode 2 by 0.042 dB at 13.04 s", "by 0.0002 Hz and the", "by 0.0003 at 2.8 s", "0.042 dB between"):
+        assert said in text.replace("\n# ", " ")
 
 
 @pytest.mark.slow
