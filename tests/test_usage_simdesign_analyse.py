@@ -65,8 +65,9 @@ def test_a_design_is_judged_at_every_node(capsys: Printed) -> None:
         assert sum(map(float, budget[2:-2])) == pytest.approx(float(budget[-2]), abs=0.7), "digits of thirteen shares"
         assert 180.0 + float(budget[-2]) == pytest.approx(float(budget[-1]), abs=0.11)
     assert lines[-1] == "PASSED: stable, all 9 limits met"
-    assert lines[lines.index("not covered by operating points") + 1 :][:3] == [
+    assert lines[lines.index("not covered by operating points") + 1 :][:4] == [
         "  0.1069 to 5 s: under thrust, before the first operating point",
+        "  5 to 55 s: between the operating points, where no limit was checked",
         "  55 to 59.09 s: under thrust, after the last operating point",
         "  59.09 to 59.29 s: tail-off, with less than half of the largest thrust",
     ]

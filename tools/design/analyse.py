@@ -122,9 +122,9 @@ def execute(order: AnalysisOrder) -> int:
         judged_by = judged_by_text(order, scenario, bases, len(points_s), len(between_s))
         gaps: tuple[Uncovered, ...] = ()
         if not order.times_s and not order.faults:
-            gaps = uncovered(
-                scenario, {g.judged[0].node.stage: [j.time_s for j in g.judged] for g in groups}, order.axis
-            )
+            alone = [stage for stage, basis in bases.items() if basis.between_nodes != "hold"]
+            points = {g.judged[0].node.stage: [j.time_s for j in g.judged] for g in groups}
+            gaps = uncovered(scenario, points, order.axis, alone)
         files, verdict, page = [], analysis_verdict(groups, loss), None
         if folder is not None:
             forget_pictures(folder)
