@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 
 import numpy as np
-from scipy.stats import qmc
 
 from maxq.control.filters import BendingFilter
 from maxq.control.kernel.records import Array, IntArray
@@ -434,6 +433,8 @@ class PdVariables:
         ]
         count -= len(filters)
         if count > 0:
+            from scipy.stats import qmc  # noqa: PLC0415  # lazy: half a second to import, for searches only
+
             lower, upper = self.lower[:n], self.upper[:n]
             everywhere, likely = bending_filter.random_ranges(self.filter, lower, upper, mode_hz)
             points = qmc.Sobol(n, seed=seed).random_base2(max(1, math.ceil(math.log2(count))))[:count]
