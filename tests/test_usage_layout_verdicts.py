@@ -14,6 +14,7 @@ from pathlib import Path
 
 import layoutkit
 import numpy as np
+import petrelkit as petrel
 import pytest
 from oracles.layout_margins import evaluate
 
@@ -22,6 +23,7 @@ from maxq.design.certificate.in_flight import in_flight_response
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import close_loop
 from maxq.design.model.powered import powered_flight
+from maxq.sim.input.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign, simvehicle, simverify
 
@@ -55,6 +57,12 @@ def test_margins_of_first_gains_are_those_of_other_equations(name: str) -> None:
     """The stub's upper stage has no bending modes; the tower is flexible, and its first gains lose control."""
     folder = layoutkit.folder(name)
     compare(folder, folder / "design.toml", every=12)
+
+
+@pytest.mark.long
+def test_margins_of_the_shipped_design_of_petrel_are_those_of_other_equations() -> None:
+    """At every third row of its gains; `test_reference_ksr3_data` evaluates the default design of KSR-III likewise."""
+    assert compare(petrel.folder(), builtin_files("design")["petrel-robust"], every=3) > 6.45
 
 
 @pytest.mark.slow
