@@ -213,7 +213,8 @@ def freeze_moving(moving: MovingFilter, state: MovingFilterState, gimbal: int, s
     """Write the filter with its present parameters as biquads, and its state as their memory (`filter_sample`).
 
     `sections` (>= n, 5), `memory` (>= n, 2). The filter's own memory is used up. A biquad in transposed direct form II
-    has the same output for every input if it has the same two outputs at rest: y0 and y1 give m0 = y0, m1 = y1 + a1 y0.
+    has the same output for every input if it has the same two outputs y0, y1 without input. Its memory is then y0 and
+    y1 + a1 y0.
     """
     p, g_per_hz, n = state.parameters, moving.g_per_hz, moving.n_quadratic
     for i in range(n + moving.n_first_order):

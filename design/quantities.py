@@ -200,6 +200,7 @@ QUANTITIES: dict[str, Quantity] = MEASURED | {
     "unstable_poles": Quantity("unstable poles", "unstable", "", "<="),
     "zone": Quantity("Nichols zone", "zone", "", ">="),
     "filter_gain_at_infinity": Quantity("|F(j inf)|", "|F(j inf)|", "", "<="),
+    "filter_motion": Quantity("change of L by filter motion, of |1 + L|", "motion %", "%", "<="),
     "integral_hz": Quantity("least corner of the integral", "integral Hz", "Hz", ">=", _integral_hz),
     "most_integral_hz": Quantity("largest corner of the integral", "integral Hz", "Hz", "<=", _integral_hz),
     "q_alpha_Padeg": Quantity("load q alpha in wind, rms", "q alpha", "Pa deg", "<="),

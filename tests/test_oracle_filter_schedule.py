@@ -8,6 +8,7 @@
 | no input, any change | the energy of the integrators does not grow |
 | law at an instant, held design, certificate's loop | python-control, with parameters by `numpy.interp` |
 | variables of the optimiser, with their derivatives | numpy in complex arithmetic; differences |
+| change of the response by the motion | the continuous equations, demodulated |
 | separation: the moving filter fades out, frozen | `lfilter` on the response so far |
 """
 
@@ -44,12 +45,19 @@ from maxq.design.case.schema import read_case
 from maxq.design.laws.design_file import design_text
 from maxq.design.laws.pd import PdDesign
 from maxq.design.laws.pd_variables import PdVariables
+from maxq.design.loop.filter_motion import change_by_motion, moves_near
+from maxq.design.operating_points import nodes
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.solve import solve
+from maxq.design.verify.judging import Wanted, checks, judge, motion_checks
+from maxq.design.verify.linear import MarginCase, MarginStudy, margin_requirements
+from maxq.design.verify.suite import LinearMargins
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Design, FilterSection
+from maxq.tools import simdesign
+from maxq.tools.design.report import design_table
 
 PREWARP_HZ = 9.0
 FIRST = BendingFilter(
@@ -339,6 +347,119 @@ def test_a_schedule_of_equal_filters_flies_like_the_constant_one() -> None:
     for channel in ("filtered_pitch_deg", "filtered_yaw_deg"):
         np.testing.assert_allclose(moving[channel], constant[channel], rtol=0, atol=0.005)
         assert np.abs(constant[channel]).max() > 0.1
+
+
+# --- the transient of the change
+
+
+def demodulated(schedule_s: float, hz: float) -> complex:
+    """The response to exp(2 pi i hz t) in the middle of a change over `schedule_s`, by the continuous equations."""
+    start, middle = 2.0 - 0.5 * schedule_s, 2.0
+
+    def at(t: float) -> float:  # of RISING, which changes from 1 to 3
+        return 1.0 + (t - start) / schedule_s * 2.0
+
+    def drive(t: float) -> complex:
+        return complex(np.exp(2j * np.pi * hz * t))
+
+    def rates(t: float, x: Array) -> Array:
+        return derivative(at(t), x, lambda _: drive(t))[0]
+
+    size = 2 * len(FIRST.quadratic) + len(FIRST.first_order)
+    found = solve_ivp(rates, (middle - 1.0, middle), np.zeros(size, complex), rtol=1e-8, atol=1e-10)
+    return derivative(at(middle), found.y[:, -1], lambda _: drive(middle))[1] / drive(middle)
+
+
+@pytest.mark.parametrize("hz", [2.0, 11.0])
+def test_the_change_of_the_response_is_that_of_the_continuous_equations(hz: float) -> None:
+    """To first order: at a quarter of the rate, the rest is a sixteenth."""
+    frozen, rest = between(2.0).frequency_response(2 * np.pi * hz), []
+    for schedule_s in (4.0, 16.0):
+        slope = RISING.slope(2.0) * 2.0 / schedule_s
+        change = change_by_motion(between(2.0), slope, np.array([2j * np.pi * hz]))[0]
+        measured = demodulated(schedule_s, hz) - frozen
+        assert abs(measured - change) < 0.05 * abs(change)
+        rest.append(abs(measured - change))
+    assert rest[0] / rest[1] == pytest.approx(16.0, rel=0.15)
+
+
+def ascent(change_s: float) -> dict[str, Any]:
+    """A notch that follows KSR-III's first mode, with its whole change within `change_s` before 40 s."""
+    first, last = ({"zero_hz": hz, "zero_zeta": 0.3, "pole_hz": 0.7 * hz, "pole_zeta": 0.6} for hz in (9.3, 11.0))
+    return section({"time_s": 40.0 - change_s, "quadratic": (first,)}, {"time_s": 40.0, "quadratic": (last,)})
+
+
+def test_a_schedule_that_is_too_fast_is_rejected() -> None:
+    """The change begins and ends between two operating points, which both see it."""
+    where = nodes("nominal", [10.0, 30.0, 45.0, 55.0])
+    slow, fast = design(ascent(35.0)), design(ascent(0.05))
+    by_slow, by_fast = (motion_checks(judge(where, own), own) for own in (slow, fast))
+    assert by_slow[0].passed
+    assert 0.01 < by_slow[0].values.max() < 1.0
+    assert not by_fast[0].passed
+    assert by_fast[0].met().tolist() == [True, False, False, True]
+    assert by_fast[0].values[0] == by_fast[0].values[3] == 0.0
+    # to first order, the change is inversely proportional to the time that it takes
+    loop = judge(where[1:2], slow)[0].loop
+    assert by_fast[0].values.max() / by_slow[0].values.max() == pytest.approx(700.0, rel=0.3)
+    # and at one frequency, it is |dL| / |1 + L| with the continuous law's change
+    rates = np.array([1.7, 0.0, 1.19, 0.0]) / 35.0
+    ((_, moves),) = moves_near(PdDesign.of(slow).filter, where[1:2], "time_s")
+    flt = PdDesign.of(slow).filter(30.0)
+    hz = np.geomspace(1.0, 8.0, 200)
+    filtered = loop.law.filter_response(hz)
+    share = np.abs(loop.response(hz) / filtered * change_by_motion(flt, rates, 2j * np.pi * hz)) / np.abs(
+        1.0 + loop.response(hz)
+    )
+    assert [at for at, _ in moves] == [30.0, 5.0, 40.0]
+    np.testing.assert_allclose(moves[0][1], rates, rtol=1e-9, atol=1e-12)
+    assert 100.0 * share.max() <= 1.05 * by_slow[0].values[1]
+    found = checks(judge(where, fast), fast, Wanted())
+    assert [c.key for c in found if not c.passed] == ["filter_motion"]
+
+
+@pytest.mark.slow  # two analyses
+def test_commands_report_the_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ends = []
+    for change_s in (35.0, 0.05):
+        path = tmp_path / f"{change_s}.toml"
+        path.write_text(design_text(design(ascent(change_s))))
+        ends.append(
+            (
+                simdesign.main(
+                    ["analyse", str(path), "--at", "30", "--no-pictures", "--out", str(tmp_path / f"out-{change_s}")]
+                ),
+                capsys.readouterr().out,
+            )
+        )
+    (slow_code, slow), (fast_code, fast) = ends
+    assert (slow_code, fast_code) == (0, 1)
+    assert "motion %" in slow
+    assert re.search(r"change of L by filter motion, of \|1 \+ L\|.* 10 %", fast)
+
+
+def test_the_table_of_a_design_lists_the_points() -> None:
+    rows = [line.split() for line in design_table(design(ascent(35.0)))]
+    assert rows[-3:] == [
+        ["time,", "s", "section", "zero", "Hz", "zeta", "pole", "Hz", "zeta"],
+        ["5", "quadratic", "9.300", "0.3000", "6.510", "0.6000"],
+        ["40", "quadratic", "11.000", "0.3000", "7.700", "0.6000"],
+    ]
+
+
+def test_a_verdict_requires_slow_motion() -> None:
+    node = ({"gain_up_db": 9.0},)
+    found = [
+        margin_requirements(
+            MarginStudy("", "pitch", (40.0,), MarginCase("", node), (), np.zeros((0, 1, 7)), motion=(percent,)),
+            LinearMargins(),
+        )
+        for percent in (0.4, 12.0)
+    ]
+    (slow,), (fast,) = ([r for r in each if r.name.startswith("change of L by filter motion")] for each in found)
+    assert (slow.judgement, fast.judgement) == ("accepted", "rejected")
+    assert (fast.wanted, fast.found, fast.where) == ("<= 10 %", "12.00 %", "40 s, pitch")
+    assert fast.room == pytest.approx(-0.2)
 
 
 # --- variables of the optimiser

@@ -18,6 +18,7 @@ from maxq.design.case.basis import Basis, LoadLimits, limit_of, stated_basis
 from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.design_file import design_of
 from maxq.design.laws.wind import WIND_LIMITS, Key, quantity
+from maxq.design.loop.filter_motion import MOST_MOTION, motion_shares
 from maxq.design.loop.fixed_path import LoopKind
 from maxq.design.loop.loop import loops
 from maxq.design.loop.multiloop import multiloops
@@ -176,6 +177,7 @@ def checks(judged: Sequence[JudgedLoop], design: Design, wanted: Wanted) -> list
     if wanted.zone is not None:
         text = ZONE.format(wanted.zone)
         out.append(Check("zone", text, "", ">=", 0.0, np.array([_clearance(j, wanted.zone) for j in judged]), time_s))
+    out += motion_checks(judged, design)
     for key, asked in wanted.limits.items():
         about = QUANTITIES[key]
         if about.value is None:
@@ -195,6 +197,20 @@ def checks(judged: Sequence[JudgedLoop], design: Design, wanted: Wanted) -> list
         never = np.full(len(gains), np.nan)
         out.append(Check("filter_gain_at_infinity", about.label, "", about.sense, most, np.array(gains, float), never))
     return out
+
+
+def motion_checks(judged: Sequence[LoopAtPoint], design: Design) -> list[Check]:
+    """Return the check of the motion of scheduled filters (design/loop/filter_motion.py), or none without them."""
+    values, times_s = list[float](), list[float]()
+    for stage, plane in sorted({(j.node.stage, j.node.plane) for j in judged}):
+        mine = [j for j in judged if (j.node.stage, j.node.plane) == (stage, plane)]
+        shares = motion_shares([j.loop for j in mine], design.of_stage(stage))
+        values += shares
+        times_s += [j.time_s for j in mine] if shares else []
+    about = QUANTITIES["filter_motion"]
+    at = np.array(times_s)
+    found = Check("filter_motion", about.label, about.unit, about.sense, MOST_MOTION, np.array(values), at)
+    return [found] if values else []
 
 
 def flies_as_measured(kind: str, errata: str, plant: str) -> bool:

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray
+from maxq.design.loop.filter_motion import MOST_MOTION, motion_shares
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop, law_at
 from maxq.design.margins.dispersed import ManyLoops, NotServedError
@@ -36,7 +37,7 @@ from maxq.design.model.dispersion import Dispersion, stacked
 from maxq.design.model.held import FlightCondition, Trim
 from maxq.design.model.node import Node, at_same_propellant_s, disperse, met_by, node_of
 from maxq.design.model.powered import flown_run, flown_to
-from maxq.design.quantities import MEASURED, SWEPT, Convention, LoopLimits
+from maxq.design.quantities import MEASURED, QUANTITIES, SWEPT, Convention, LoopLimits
 from maxq.design.verify import suite
 from maxq.design.verify.memory import PartsOnDisk, counted
 from maxq.design.verify.names import node_name
@@ -106,7 +107,7 @@ class MarginStudy:
 
     `stage` is its name, "" for a single stage. `random` (vehicles, nodes, SWEPT) is NaN throughout for an unstable
     loop, and infinite if nothing limits a margin. The first row is vehicle number `first`. `exact` is the number of
-    these loops that `margins` itself has measured.
+    these loops that `margins` itself has measured. `motion` (nodes,) is that of a scheduled filter, in %.
     """
 
     stage: str
@@ -117,6 +118,7 @@ class MarginStudy:
     random: Array
     first: int = 0
     exact: int = 0
+    motion: tuple[float, ...] = ()
 
     def case(self, k: int) -> MarginCase:
         """Return the k-th random vehicle."""
@@ -287,6 +289,7 @@ def study(
         values,
         first,
         sum(exact for _, _, exact in table),
+        tuple(motion_shares([Loop(fixed_path(n), law_at(design, n)) for n in nodes], design.of_stage(nodes[0].stage))),
     )
     known = tuple(replace(every.case(k), label=c.label) for k, c in enumerate(corners))
     return replace(every, corners=known, random=values[len(corners) :])
@@ -345,6 +348,7 @@ def margin_requirements(
     if wanted.only in ("", AS_DESIGNED):
         everywhere = "at every operating point"
         out += _limits("margins", everywhere, AS_DESIGNED, [found.nominal], wanted.nominal, found, again)
+        out += _motion(found, again(AS_DESIGNED)) if found.motion else []
     if found.corners:
         out += _limits("dispersed", "at every corner", "corners", found.corners, wanted.dispersed, found, again)
     if len(found.random) and wanted.only:
@@ -374,6 +378,24 @@ def margin_requirements(
             )
         )
     return out
+
+
+def _motion(found: MarginStudy, again: str) -> list[JudgedRequirement]:
+    """Return the requirement on the motion of a scheduled filter."""
+    about, worst = QUANTITIES["filter_motion"], int(np.argmax(found.motion))
+    value = found.motion[worst]
+    return [
+        JudgedRequirement(
+            "margins",
+            ", ".join(filter(None, (about.label, AS_DESIGNED, found.stage))),
+            f"{about.sense} {MOST_MOTION:g} {about.unit}",
+            f"{value:.2f} {about.unit}",
+            suite.REJECTED if about.violation(value, MOST_MOTION) > 0.0 else suite.ACCEPTED,
+            suite.room_left(value, MOST_MOTION, about.sense, about.unit),
+            f"{found.times_s[worst]:g} s, {found.plane}",
+            again=again,
+        )
+    ]
 
 
 def _limits(
