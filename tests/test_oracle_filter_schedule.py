@@ -288,9 +288,13 @@ def test_the_law_of_an_instant_is_that_of_python_control() -> None:
 def test_a_schedule_is_written_and_read_again(tmp_path: Path) -> None:
     from maxq.design.laws.design_file import load_design  # noqa: PLC0415  # one test needs it
 
-    own = design(MOVING, vehicle="KSR-III (reconstruction)")
-    (tmp_path / "d.toml").write_text(design_text(own))
-    assert load_design(tmp_path / "d.toml").filter == own.filter
+    constant = {"structure": "F2", "prewarp_hz": 9.0, "quadratic": (POINT,)}
+    own = design(MOVING, vehicle="KSR-III (reconstruction)", loop_filters={"rate": constant})
+    text = design_text(own)
+    assert "= []" not in text
+    (tmp_path / "d.toml").write_text(text)
+    again = load_design(tmp_path / "d.toml")
+    assert (again.filter, again.loop_filters) == (own.filter, own.loop_filters)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import tomli_w
 
@@ -81,9 +82,9 @@ def design_text(design: Design, comments: Sequence[str] = ()) -> str:
     laws: list[Design | StageLaw] = [design, *design.stage]
     for mine, law in zip((content, *content.get("stage", ())), laws, strict=True):
         if law.filter is not None:
-            form = {key: value for key, value in mine["filter"].items() if value != ()}
-            points = [{key: x for key, x in point.items() if x != ()} for point in form.get("schedule", ())]
-            mine["filter"] = form | ({"schedule": points} if points else {})
+            mine["filter"] = _without_empty(mine["filter"])
+        if law.loop_filters is not None:
+            mine["loop_filters"] = {key: _without_empty(each) for key, each in mine["loop_filters"].items()}
         if law.gains is None:
             continue
         names = (law.gains.over, *design.gain_names)
@@ -96,6 +97,12 @@ def design_text(design: Design, comments: Sequence[str] = ()) -> str:
             mine["gains"]["yaw"] = "pitch"
     text = _PLAIN_LIST.sub(lambda m: f"[{', '.join(m[1].replace(',', ' ').split())}]", tomli_w.dumps(content))
     return "".join(f"{f'# {line}'.rstrip()}\n" for line in comments) + text
+
+
+def _without_empty(filter_: dict[str, Any]) -> dict[str, Any]:
+    """Return a filter, or a point of its schedule, without its empty lists of sections."""
+    kept = {key: value for key, value in filter_.items() if value != ()}
+    return kept | ({"schedule": [_without_empty(point) for point in kept["schedule"]]} if "schedule" in kept else {})
 
 
 def forget_pictures(folder: Path) -> None:
