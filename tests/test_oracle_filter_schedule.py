@@ -57,6 +57,7 @@ from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.schema_design import Design, FilterSection
 from maxq.tools import simdesign
+from maxq.tools.design.report import design_table
 
 PREWARP_HZ = 9.0
 FIRST = BendingFilter(
@@ -439,7 +440,15 @@ def test_commands_report_the_motion(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert (slow_code, fast_code) == (0, 1)
     assert "motion %" in slow
     assert re.search(r"change of L by filter motion, of \|1 \+ L\|.* 10 %", fast)
-    assert re.search(r"40\s+quadratic\s+11\.000\s+0\.3000\s+7\.700\s+0\.6000", slow)
+
+
+def test_the_table_of_a_design_lists_the_points() -> None:
+    rows = [line.split() for line in design_table(design(ascent(35.0)))]
+    assert rows[-3:] == [
+        ["time,", "s", "section", "zero", "Hz", "zeta", "pole", "Hz", "zeta"],
+        ["5", "quadratic", "9.300", "0.3000", "6.510", "0.6000"],
+        ["40", "quadratic", "11.000", "0.3000", "7.700", "0.6000"],
+    ]
 
 
 def test_a_verdict_requires_slow_motion() -> None:
