@@ -15,7 +15,9 @@ from maxq.sim.flight.channels import unit_suffix
 from maxq.sim.flight.metric_table import (
     METRIC_NAMES,
     METRICS,
+    CutoffMetrics,
     EndMetrics,
+    LaunchMetrics,
     MetricIndex,
     OrbitMetrics,
     SectionMetrics,
@@ -115,6 +117,8 @@ def test_names_of_metrics_end_with_their_unit() -> None:
         *EndMetrics._fields,
         *WaveMetrics._fields,
         *StepMetrics._fields,
+        *LaunchMetrics._fields,
+        *CutoffMetrics._fields,
         *OrbitMetrics._fields,
     ) == METRIC_NAMES
     for metric in METRICS.values():

@@ -56,7 +56,8 @@ def check_limits(s, plants, rigid_hz: bool = True) -> None:
     peaks = []
     for plant, p, d in zip(plants.each, k_p, k_d, strict=True):
         period = plant.path.sample_s
-        flown = as_flown(law.whole, period)
+        held = law.filter.filters[0], law.discretization, law.prewarp_hz
+        flown = as_flown(held, period)
         loop = Loop(plant.path, Pd(float(p), float(d), flown))
         found = margins(loop)
         assert found.stable

@@ -344,7 +344,7 @@ def test_analyse_flies_the_scenario_of_the_design(capsys: Printed) -> None:
 @pytest.mark.slow
 def test_a_design_without_a_basis_says_so(capsys: Printed) -> None:
     text = builtin_files("design")["ksr3-default"].read_text()
-    Path("mine.toml").write_text(text.partition("[basis]")[0])
+    Path("mine.toml").write_text(text.partition("\n[basis]")[0])
     code, lines, _ = analysed(capsys, "mine.toml")
     assert lines[2] == ("the design states no basis: judged on the sampled loop at 11 operating points, without limits")
     assert (code, lines[-1]) == (0, "PASSED: stable; the design states no limits")
