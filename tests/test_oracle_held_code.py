@@ -144,8 +144,11 @@ def test_code_with_another_law_where_nothing_is_excited_differs_from_its_design(
     (row,) = [r for r in flight_requirements([found]) if r.name.startswith("gimbal angles of the code")]
     assert row.judgement == judgement
     assert found.law_share < 0.01 if judgement == "accepted" else found.law_share > 0.1
-    without = fly_alone(SuiteFlight(name="none"), load_scenario("nominal", ["run.duration_s=0.1"]), "")
-    assert len(flight_requirements([without])) == 1
+    short = ["run.duration_s=0.1"]
+    fault = "fault=[{kind='gyro-dead',at_s=0.05,axis='pitch'}]"
+    for reference in (short, [*short, fault, *flies(library=code)]):
+        without = fly_alone(SuiteFlight(name="none"), load_scenario("nominal", reference), "")
+        assert len(flight_requirements([without])) == 1
 
 
 def test_code_that_answers_the_same_inputs_differently_is_rejected(tmp_path: Path) -> None:

@@ -50,7 +50,7 @@ class FlownResult:
     """The result of a flight of the suite. `time_s` and `histories` (by channel) are those under thrust, decimated.
 
     `law_share`: the largest difference of gimbal angles of flight code from a flight with its design, as a share
-    (`LAW_SHARE`); nan without code or design.
+    (`LAW_SHARE`); nan without code or design, and with faults.
     """
 
     name: str
@@ -165,9 +165,12 @@ def _histories(flight: Flight) -> tuple[Array, dict[str, Array]]:
 
 
 def _by_design(scenario: Scenario) -> Scenario | None:
-    """Return a scenario of flight code with the law of its design instead, or None without code or design."""
+    """Return a scenario of flight code with the law of its design instead, or None without code or design.
+
+    The result is None with faults, too: code may change its law when it detects one.
+    """
     computer = scenario.vehicle.computer
-    if scenario.design is None or computer is None or computer.law != "external":
+    if scenario.design is None or scenario.fault or computer is None or computer.law != "external":
         return None
     law = computer.model_copy(update={"law": "design", "library": None, "python": None, "address": None})
     return scenario.model_copy(update={"vehicle": scenario.vehicle.model_copy(update={"computer": law})})
@@ -201,7 +204,7 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequiremen
 
 
 def _law_requirement(results: Sequence[FlownResult]) -> list[JudgedRequirement]:
-    """Require that flight code steers as its design in every flight, where nothing is excited.
+    """Require that flight code steers as its design in every flight without a fault, where nothing is excited.
 
     The certificate compares both where the code could recognise the excitation.
     """
