@@ -250,9 +250,11 @@ class Stack:
         return max(begin, self.begins_s), end if self.leave_s is None else min(end, self.leave_s - _BEFORE_S)
 
     def tail_share(self, t: float) -> float:
-        """Return the core's thrust in a tail-off as a share of that at its beginning, or 1 before it."""
+        """Return the core's thrust in a long tail-off as a share of that at its beginning, and 1 elsewhere."""
         end_s = self.full_s[1]
-        return min(self.burn.thrust_vacuum_N(t) / self.burn.thrust_vacuum_N(end_s), 1.0) if t > end_s else 1.0
+        if t <= end_s or not self.has_long_tail:
+            return 1.0
+        return min(self.burn.thrust_vacuum_N(t) / self.burn.thrust_vacuum_N(end_s), 1.0)
 
     @property
     def has_long_tail(self) -> bool:
