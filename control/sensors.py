@@ -64,8 +64,11 @@ def make_sensors(
 ) -> Sensors:
     """Return the parameters of the sensors.
 
-    `counts`: angle or velocity per pulse of each sensor. `blend`: weights in pitch and in yaw, by default (1, 0, ...).
-    Raises ValueError for weights that do not sum to 1, for more weights than rate gyros, and as `make_converter` does.
+    `counts`: angle or velocity per pulse of each sensor. `latency`: delay of each sensor, samples. `accelerometer`:
+    True if the last sensor is an accelerometer. `blend`: weights in pitch and in yaw, by default (1, 0, ...).
+
+    Raises ValueError if weights do not sum to 1, if their number is not that of the rate gyros, and as `make_converter`
+    does.
     """
     n, gyros = len(counts), len(counts) - int(accelerometer) + 1
     late, weights = np.zeros(MAX_SENSORS, np.int64), np.zeros((2, MAX_SENSORS))

@@ -117,7 +117,10 @@ def _tell(data: DataSet, total: int, flown: str, pictures: bool, start_s: float,
 
 
 def report_again(folder: str, *, keep: tuple[str, ...] = (), no_report: bool = False) -> int:
-    """Judge a campaign that was flown, and write its report again."""
+    """Judge a campaign that was flown, write its report again, and return the exit code.
+
+    `keep`: runs to fly again with a full log.
+    """
     start_s = time.perf_counter()
     place = Path(folder)
     data = DataSet(place, campaign_in(place))

@@ -228,7 +228,7 @@ def _union(breaks: tuple[bytes, ...]) -> Array:
 
 
 class Pool:
-    """The collector of tables into the flat array that kernels read."""
+    """A collector of tables, which it packs into the flat array that kernels read."""
 
     def __init__(self) -> None:
         self._parts: list[tuple[slice, Array | tuple[Cubics, ...]]] = []  # where each lies

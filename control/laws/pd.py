@@ -31,11 +31,15 @@ from maxq.control.structures import GAIN_NAMES, MAX_SECTIONS, Over
 
 @dataclass(frozen=True)
 class GainSchedule:
-    """The gains of one axis at values `at` (n,) of `over`, linear between them and held outside.
+    """The gains of one axis at values `at` (n,) of `over`, linear between these values and constant beyond them.
 
-    `k_p` (n,). `k_d_s` (n,), s. With an integral `k_i_ps` (n,), 1/s. With load relief `k_a_s2pm` (n,), s2/m. With
-    `incidence-relief` `k_alpha` (n,) and the parameters of the estimate of the angle of attack (laws/load_relief.py).
-    With feedback of the drift `k_zd_radspm` (n,), rad s/m, and `k_z_radpm` (n,), rad/m (laws/drift.py).
+    Each gain has the shape (n,), or is empty if the law does not use it:
+
+    - `k_p`, `k_d_s` (s); with an integral term, `k_i_ps` (1/s);
+    - with load relief, `k_a_s2pm` (s2/m);
+    - with `incidence-relief`, `k_alpha` and the parameters of the estimate of the angle of attack
+      (laws/load_relief.py);
+    - with feedback of the drift, `k_zd_radspm` (rad s/m) and `k_z_radpm` (rad/m) (laws/drift.py).
     """
 
     at: Sequence[float]

@@ -215,7 +215,7 @@ def sine(held: HeldFlight, frequency_hz: float, amplitude_rad: float, stop_s: fl
 def burst_rad(held: HeldFlight, frequency_hz: float, growth: float = 1.0) -> float:
     """Return the amplitude (rad) of a burst at one frequency.
 
-    It is far below every limit even if the loop amplifies it by `growth`.
+    The burst stays far below every limit, even if the loop amplifies it by `growth`.
     """
     return SHARE_OF_BURST * min(linear_room(held, frequency_hz)) / growth
 

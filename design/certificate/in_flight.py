@@ -263,7 +263,7 @@ def _flown(
 
 
 def _at_lines(samples: Array, lines_hz: Array, sample_s: float) -> tuple[ComplexArray, float]:
-    """Return the phasors at the lines and their standard deviations, from the residual.
+    """Return the phasors at the lines, and the standard deviation of each, estimated from the residual.
 
     The least-squares fit includes a cubic trend and weights that taper at both ends.
     """

@@ -221,7 +221,7 @@ class LawVariables(Protocol):
         """
 
     def log_response(self, own: Array, axis: Axis) -> LogResponse:
-        """Return C at points of own parameters (points, own)."""
+        """Return C at points with the parameters `own` (points, own), with derivatives."""
 
     def gradient(self, own: Array, axis: Axis, weights: ComplexArray) -> ComplexArray:
         """Return d ln L / d own, (points, own).

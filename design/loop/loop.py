@@ -24,8 +24,8 @@ from maxq.sim.scenario.schema_design import Design
 class OpenLoop(Protocol):
     """A single loop opened at one point, with negative feedback. The closed loop satisfies 1 + L = 0.
 
-    L has positive sign: a stable rigid body under PD control has L = (k_p / s + k_d) times the rest. Poles are in
-    rad/s, and those of a sampled loop at z are log(z) / T.
+    L has a positive sign: a stable rigid body under PD control has L = (k_p / s + k_d) times the rest of the loop.
+    Poles are in rad/s; a pole z of a loop sampled with period T is given as log(z) / T.
     """
 
     @property

@@ -86,7 +86,7 @@ class HeldStage:
 
     @property
     def vehicle(self) -> Any:
-        """Return the parameters of the vehicles, field by field (vehicles, ...)."""
+        """Return the parameters of the vehicles as records, each field of shape (vehicles, ...)."""
         return self.parameters["vehicle"]
 
     @cached_property

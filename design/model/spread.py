@@ -166,7 +166,7 @@ def _deviations(vehicle: Vehicle, number: int) -> Iterator[tuple[str, int, list[
 
 
 def _of_actuators(stage: Stage, s: str) -> Iterator[tuple[str, int, list[str]]]:
-    """Yield the tuples of `_deviations` for the poles of each group's actuators, with both axes equal."""
+    """Yield the tuples of `_deviations` for the actuator poles of each engine group. Both axes deviate equally."""
     if stage.actuator is None:
         return
     groups = stage.engine_groups

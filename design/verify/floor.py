@@ -54,8 +54,8 @@ _WHOLE = {name: field.default for name, field in Switches.model_fields.items() i
 class Evidence:
     """The properties of a verification on which its floor depends.
 
-    `points_s` are operating points by part ("margins", "certificate") and stage, from 0. `campaigns` are those of the
-    suite in its order. `flights` are scenarios of the flights whose failure rejects. `in_flight` contains the planes
+    `points_s`: operating points (s) by part ("margins", "certificate") and by stage, from 0. `campaigns`: those of the
+    suite, in its order. `flights`: scenarios of the flights whose failure rejects the design. `in_flight`: planes
     measured in the ascent.
     """
 

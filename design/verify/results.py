@@ -28,7 +28,9 @@ MOST_BYTES = 2_000_000_000
 
 @dataclass(frozen=True)
 class Results:
-    """The results of flights, of linear measures and of measurements in flight. Parts not required are empty."""
+    """The results of flights, of linear measures and of measurements in flight. Parts that the suite does not require
+    are empty.
+    """
 
     flights: tuple[FlownResult, ...]
     margins: tuple[MarginStudy, ...]

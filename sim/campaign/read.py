@@ -129,9 +129,9 @@ class LoadedCampaign:
         return self._loaded(values)
 
     def values_of(self, drawn: Drawn, run: int, names: Iterable[str] | None) -> dict[DrawPlace, Any]:
-        """Return the values that a run flies for the named inputs (None: all), for `changed`.
+        """Return the values that run `run` flies for the inputs `names` (None: all), as `changed` requires them.
 
-        Its wind and its noise are examples of inputs.
+        The wind and the seed of the noise are inputs, too.
         """
         at = run - drawn.first
         values = {place: values[at] for place, values in drawn.flown.items()}

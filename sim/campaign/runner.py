@@ -363,7 +363,10 @@ class DaskCluster:
         return task
 
     def collect(self, task: Future[Any]) -> list[Row] | Future[Any]:
-        """Return the rows of a completed task, or the task to wait for instead. Raises CampaignError."""
+        """Return the rows of a completed task, or the new task if a failed one was submitted again.
+
+        Raises CampaignError if the task has failed too often, or if a worker has another simulator.
+        """
         first, size, tries = self._out.pop(task)
         try:
             rows, theirs = task.result()

@@ -172,7 +172,7 @@ def tolerance_bound(values: Array, allowed: int, largest: bool = True) -> float:
 def evidence_met(failures: int, runs: int, p: float) -> float:
     """Return the log of the e-value against "fails with probability p or more".
 
-    The mixture has the density q^-0.5 below p.
+    The alternative is a mixture of failure probabilities q below p, with a density proportional to q^-0.5.
     """
     k, n = failures, runs
     inside = float(betainc(k + _POWER, n - k + 1, p))

@@ -61,7 +61,7 @@ class Tabular(ABC):
         return frames[0] if len(frames) == 1 else pd.concat(frames, axis=1)
 
     def to_xarray(self, *names: str) -> Any:
-        """Return the table of `to_pandas` as an `xarray.Dataset`, with unit and description of each channel.
+        """Return the table of `to_pandas` as an `xarray.Dataset`, with the unit and description of each channel.
 
         xarray must be installed.
         """

@@ -168,7 +168,7 @@ class FlightRun:
         )
 
     def _hold(self, arrays: tuple[Any, ...]) -> None:
-        """Continue the flight in these arrays."""
+        """Bind the state of the flight and its buffers to these arrays, given as `_arrays` returns them."""
         _, _, memory, state, self._arena, _, fast_ns, fast, slow_ns, slow, self._counts = arrays
         self.packed = replace(self.packed, memory=memory, state=state)
         self._rows = {FAST: (fast_ns, fast), SLOW: (slow_ns, slow)}

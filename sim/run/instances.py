@@ -316,7 +316,7 @@ def described(error: BaseException) -> str:
 
 
 def started(computer: ComputerSection, setup: Setup) -> Instance:
-    """Return an instance of the flight code. Raises Unusable."""
+    """Return a running instance of the flight code that `computer` names. Raises Unusable if it cannot be started."""
     if computer.library is not None:
         return _Library(computer.library, setup)
     if computer.python is not None:

@@ -244,7 +244,11 @@ Gas = tuple[float, float, float, float]  # as `atmosphere.air` returns it
 def frame_and_air(
     earth: Earth, atmosphere: Atmosphere, pool: Array, x: float, y: float, z: float, anchor: Anchor
 ) -> tuple[Frame, Gas]:
-    """Return `local_frame` and `air` at a position (I, m)."""
+    """Return `local_frame` and `air` at a position (frame I, m).
+
+    Within `NEAR_m` of the anchor, they are expansions about it (`air` only at altitudes within the anchor's reach). An
+    anchor that is due is set at this position.
+    """
     dx, dy, dz = x - anchor.place_I_m[0], y - anchor.place_I_m[1], z - anchor.place_I_m[2]
     if anchor.state == ANCHOR_SET and dx * dx + dy * dy + dz * dz < NEAR_m * NEAR_m:
         frame = _frame_nearby(dx, dy, dz, anchor)

@@ -128,7 +128,7 @@ class ThrustCurve:
         return before * (1.0 - share) + after * share
 
     def split(self, t: float) -> tuple[ThrustCurve, ThrustCurve]:
-        """Return the thrust up to t, and the rest on a clock that begins then."""
+        """Return the curve up to `t` (s), and the rest of it on a clock that starts at `t`."""
         at, early, late = float(self._thrust(t)), self.times_s < t - 1e-6, self.times_s > t + 1e-6
         first = np.append(self.times_s[early], t), np.append(self.thrust_N[early], at)
         rest = np.insert(self.times_s[late] - t, 0, 0.0).round(6), np.insert(self.thrust_N[late], 0, at)
@@ -205,7 +205,7 @@ class Strapped:
         return _dry(self.booster)
 
     def liquid_kg(self, tank: LayoutTank, t: float) -> float:
-        """Return the liquid in a tank. All tanks drain in proportion."""
+        """Return the mass of the liquid in a tank (kg) at `t` (s). All tanks drain in proportion."""
         return tank.liquid_mass_kg - (tank.liquid_mass_kg - tank.residual_kg) * self.burn.used(t)
 
     def rods(self, t: float) -> list[Rod]:

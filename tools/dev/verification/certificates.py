@@ -37,7 +37,7 @@ def row(c: NodeCertificate, passing: InFlightResponse) -> str:
 
 
 def main() -> int:
-    """Rewrite the table."""
+    """Certify the design, rewrite the table, and return the exit code."""
     loaded = load_scenario("nominal")
     begun = time.perf_counter()
     found = certify(loaded, TIMES_S)
