@@ -193,6 +193,13 @@ def test_distance_of_lines_is_the_least_of_all_pairs_of_points() -> None:
         ({"tower": {"distance_m": 0.4, "azimuth_deg": 0.0, "height_m": 9.0}}, "above 0.5"),
         ({"requirement": [{"metric": "min_tower_clearance_m", "minimum": 1.0}]}, "does not measure it"),
         ({"requirement": [{"metric": "cutoff_speed_error_mps", "limit": 1.0}]}, "guidance.orbit or guidance.cutoff"),
+        (
+            {
+                "guidance": {"cutoff": {"earth_speed_mps": 1e3}},
+                "requirement": [{"metric": "cutoff_perigee_error_m", "limit": 1.0}],
+            },
+            "a last burn that aims at it",
+        ),
         ({"guidance": {"cutoff": {"apogee_altitude_m": 1e5}}}, "there are no orbits"),
         ({"guidance": {"cutoff": {"earth_speed_mps": 1e3, "inertial_speed_mps": 1e3}}}, "inertial_speed_mps"),
     ],

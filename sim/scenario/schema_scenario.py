@@ -443,12 +443,19 @@ class Scenario(Section):
             radius_m = self.tower.radius_m + self.tower.vehicle_radius(self.vehicle.reference.diameter_m)
             if self.tower.distance_m <= radius_m:
                 raise refuse("the tower reaches into the vehicle", f"above {radius_m:g}", ("tower", "distance_m"))
+        last = self.guidance.ends[-1]
+        aims = {
+            "cutoff_speed_error_mps": isinstance(last, Cutoff) and last.apogee_altitude_m is None,
+            "cutoff_apogee_error_m": last is not None and last.apogee_altitude_m is not None,
+            "cutoff_perigee_error_m": isinstance(last, OrbitTarget),
+        }
         for n, requirement in enumerate(self.requirement):
             needs = {
                 "[rail]": requirement.metric == "rail_exit_speed_mps" and self.rail is None,
                 "[tower]": requirement.metric in LaunchMetrics._fields[:2] and self.tower is None,
-                "guidance.orbit or guidance.cutoff": requirement.metric in CutoffMetrics._fields
-                and not any(self.guidance.ends),
+                "guidance.orbit or guidance.cutoff, of the last burn": requirement.metric in CutoffMetrics._fields
+                and last is None,
+                "a last burn that aims at it": not aims.get(requirement.metric, True),
             }
             for allowed, missing in needs.items():
                 if missing:
