@@ -250,8 +250,8 @@ def detect_crossing(p: Parameters, memory: Memory, space: step.Workspace) -> int
         if p.timeline.release_ns == NEVER and events.event_function(p, memory, LIFTOFF, y, properties, aux) >= 0.0:
             return LIFTOFF
         return -1
-    if memory.held.on_rail == 1:
-        return RAIL_EXIT if events.event_function(p, memory, RAIL_EXIT, y, properties, aux) >= 0.0 else -1
+    if memory.held.on_rail == 1 and events.event_function(p, memory, RAIL_EXIT, y, properties, aux) >= 0.0:
+        return RAIL_EXIT
     if clock.climbing == 1:
         if (
             not climbs_certainly(p.environment.earth, y)
