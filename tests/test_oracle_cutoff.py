@@ -147,6 +147,24 @@ def test_a_rail_turns_with_the_earth() -> None:
     assert np.abs(off).max() < 1e-7  # 6.4e6 m to rounding
 
 
+def test_a_vehicle_that_does_not_leave_its_rail_slides_back() -> None:
+    """Thrust for 1 s, then a slide to the pad without friction: both along the rail, with g sin(elevation)."""
+    burn = {"engine": {"table": {"time_s": [0.0, 1.0, 1.0001], "thrust_vacuum_N": [THRUST_N, THRUST_N, 0.0]}}}
+    rail = {"length_m": 50.0, "elevation_deg": 70.0}
+    short = {
+        "rail": rail,
+        "run": {"duration_s": 9.0, "stop_at": ["impact"]},
+        "vehicle": {"stage": [merged(CONSTANT, burn)]},
+    }
+    flight = flown(short)
+    pull = G * math.sin(math.radians(70.0))
+    speed = THRUST_N / MASS_kg - pull
+    apogee_s = 1.0 + speed / pull
+    assert flight.event_s("apogee") == pytest.approx(apogee_s, abs=1e-3)
+    assert flight.event_s("impact") == pytest.approx(apogee_s + math.sqrt(speed / pull + (speed / pull) ** 2), abs=1e-3)
+    assert math.isnan(flight.metrics["rail_exit_speed_mps"])
+
+
 def test_clearance_and_drift_at_a_tower() -> None:
     """A side force F at the CG: the tail is F / (T - m g) of its height off the pad."""
     side, height, distance = 900.0, 30.0, 4.0
@@ -193,6 +211,13 @@ def test_distance_of_lines_is_the_least_of_all_pairs_of_points() -> None:
         ({"tower": {"distance_m": 0.4, "azimuth_deg": 0.0, "height_m": 9.0}}, "above 0.5"),
         ({"requirement": [{"metric": "min_tower_clearance_m", "minimum": 1.0}]}, "does not measure it"),
         ({"requirement": [{"metric": "cutoff_speed_error_mps", "limit": 1.0}]}, "guidance.orbit or guidance.cutoff"),
+        (
+            {
+                "guidance": {"cutoff": {"earth_speed_mps": 1e3}},
+                "requirement": [{"metric": "cutoff_perigee_error_m", "limit": 1.0}],
+            },
+            "a last burn that aims at it",
+        ),
         ({"guidance": {"cutoff": {"apogee_altitude_m": 1e5}}}, "there are no orbits"),
         ({"guidance": {"cutoff": {"earth_speed_mps": 1e3, "inertial_speed_mps": 1e3}}}, "inertial_speed_mps"),
     ],

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flightkit import load
+from test_oracle_restart import TREE as RESTART
 
 from maxq import ScenarioError
 from maxq.tools.vehicle.azimuth import geocentric_rad, launch_azimuth_deg
@@ -68,3 +70,17 @@ def test_a_layout_takes_its_azimuth_from_the_inclination(tmp_path: Path) -> None
 def test_azimuths_that_cannot_be(tmp_path: Path, new: str, trajectory: str, said: str) -> None:
     with pytest.raises(ScenarioError, match=said):
         read_layout(layout(tmp_path, "azimuth_deg = 60.0", new, trajectory))
+
+
+@pytest.mark.parametrize(("shape", "least"), [("wgs84", math.degrees(geocentric_rad(28.5))), ("sphere", 28.5)])
+def test_a_scenario_allows_each_inclination_of_a_layout(shape: str, least: float) -> None:
+    """The least inclination of a site is its geocentric latitude, on the ellipsoid 0.16 deg below the geodetic one."""
+    scenario = {**RESTART, "earth": {"shape": shape, "gravity": "inverse_square"}, "site": {"latitude_deg": 28.5}}
+    for inclination, allowed in ((least + 0.01, True), (least - 0.01, False), (180.0 - least - 0.01, True)):
+        orbit = {"perigee_altitude_m": 3e5, "apogee_altitude_m": 3e5, "isp_s": 300.0, "inclination_deg": inclination}
+        tree = scenario | {"guidance": {"orbit": orbit}}
+        if allowed:
+            load(tree)
+        else:
+            with pytest.raises(ScenarioError, match="geocentric"):
+                load(tree)

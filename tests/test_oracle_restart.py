@@ -237,6 +237,39 @@ def test_a_restart_at_the_instant_of_a_sample_happens_once(coast_s: float) -> No
     assert not flown.failures
 
 
+def dropping(drop_s: float, guidance: Tree) -> Flight:
+    """Fly 20 s with a part that is dropped while the engine stays."""
+    rest = STAGE | {"continues": True, "clock": "preceding"}
+    vehicle = TREE["vehicle"] | {"stage": [STAGE | {"separation_s": drop_s}, rest]}
+    run = {"duration_s": 20.0, "step_s": 0.01, "stop_at": []}
+    return fly(load({**TREE, "vehicle": vehicle, "guidance": guidance, "run": run}), log=False)
+
+
+def test_a_part_dropped_after_a_cutoff_leaves_its_time_and_errors() -> None:
+    """The dropped part has no mass, so that cutoff and restart are those of a flight without the drop."""
+    ends = {"cutoff": {"inertial_speed_mps": 7740.0}}
+    flown = dropping(8.0, ends)
+    assert [(e.name, e.stage) for e in flown.events if e.name in ("cutoff", "burnout")] == [("burnout", 1)]
+    assert flown.metric_times_s["cutoff_speed_mps"] == flown.event_s("burnout") < 3.0
+    assert flown.metrics["cutoff_speed_error_mps"] < 1e-5
+    again = ends | {"restart": [{"coast_s": 10.0, "cutoff": {"inertial_speed_mps": 7760.0}}]}
+    flown = dropping(8.0, again)
+    kinds = "cutoff", "separation", "restart", "burnout"
+    found = [(e.name, e.stage) for e in flown.events if e.name in kinds]
+    assert found == [("cutoff", 1), ("separation", 1), ("restart", 2), ("burnout", 2)]
+    assert flown.event_s("restart") - flown.event_s("cutoff") == pytest.approx(10.0, abs=3e-9)
+    assert flown.metrics["cutoff_speed_error_mps"] < 1e-4
+
+
+def test_a_flight_may_end_between_the_command_of_a_cutoff_and_the_cutoff() -> None:
+    ends = {"guidance": {"cutoff": {"inertial_speed_mps": 7740.0}}, "run": {"stop_at": []}}
+    cut_off_s = fly(load(merged({**TREE, **ends}, {"run": {"duration_s": 4.0}})), log=False).event_s("burnout")
+    short = merged({**TREE, **ends}, {"run": {"duration_s": math.floor(1e3 * cut_off_s) / 1e3}})
+    flown = fly(load(short), log=False)
+    assert [e.name for e in flown.events if e.name != "apogee"] == ["ignition"]
+    assert math.isnan(flown.metrics["cutoff_speed_error_mps"])
+
+
 @pytest.mark.slow
 def test_burns_after_a_restart_are_listed_as_not_covered() -> None:
     found = uncovered(load(TREE), {0: [2.0, 23.0]})

@@ -76,7 +76,11 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
     clock.interval = find_interval(pool, p.vehicle.schedule, step.schedule_clock(p, memory.clock, now, 0.0))
     clock.fresh, clock.next_break_ns = 1, now
     memory.faults.next_ns = now if p.faults.count > 0 else NEVER
-    memory.held.burning = 1 if p.timeline.burn_start_ns <= now < p.timeline.burnout_ns + clock.idle_ns else 0
+    cut_off = 0 < clock.cut_off_ns <= now
+    burns = p.timeline.burn_start_ns <= now < p.timeline.burnout_ns + clock.idle_ns and not cut_off
+    memory.held.burning = 1 if burns else 0
+    if cut_off:  # in a stage before, of which a part has been dropped: the gimbals remain centred
+        clock.stage_burnout_ns[clock.stage] = clock.cut_off_ns
 
 
 @entry
@@ -250,8 +254,8 @@ def detect_crossing(p: Parameters, memory: Memory, space: step.Workspace) -> int
         if p.timeline.release_ns == NEVER and events.event_function(p, memory, LIFTOFF, y, properties, aux) >= 0.0:
             return LIFTOFF
         return -1
-    if memory.held.on_rail == 1:
-        return RAIL_EXIT if events.event_function(p, memory, RAIL_EXIT, y, properties, aux) >= 0.0 else -1
+    if memory.held.on_rail == 1 and events.event_function(p, memory, RAIL_EXIT, y, properties, aux) >= 0.0:
+        return RAIL_EXIT
     if clock.climbing == 1:
         if (
             not climbs_certainly(p.environment.earth, y)

@@ -211,8 +211,7 @@ class FlightRun:
             if start_ns <= ignition_ns <= clock.now_ns and ignition_ns < NEVER and not goes_on:
                 found.append(Event(IGNITION_NAME, ignition_ns, number))
             for name, times_ns in zip(_OF_STAGES, (clock.stage_burnout_ns, clock.stage_separation_ns), strict=True):
-                coasts = name == _OF_STAGES[0] and index == clock.stage and self._awaits_restart(clock)
-                if times_ns[index] >= 0 and not coasts:
+                if times_ns[index] >= 0 and not (name == _OF_STAGES[0] and self._is_no_burnout(clock, index)):
                     found.append(Event(name, int(times_ns[index]), number))
         for name, time_ns in zip(EVENT_NAMES, clock.event_ns, strict=True):
             if time_ns >= 0 and name not in _OF_STAGES:
@@ -243,11 +242,20 @@ class FlightRun:
         """Yield the cutoffs before restarts, and the restarts."""
         several = len(self.packed.parameters) > 1
         for n in range(clock.restarts):
-            number = (int(clock.restart_stage[n]) + 1) * several
-            yield Event(CUTOFF_NAME, int(clock.restart_cut_off_ns[n]), number)
-            yield Event(RESTART_NAME, int(clock.restart_ns[n]), number)
-        if self._awaits_restart(clock):
-            yield Event(CUTOFF_NAME, clock.cut_off_ns, (clock.stage + 1) * several)
+            yield Event(RESTART_NAME, int(clock.restart_ns[n]), (int(clock.restart_stage[n]) + 1) * several)
+        for time_ns in self._cutoffs_ns(clock):
+            stage = sum(0 <= int(separated_ns) <= time_ns for separated_ns in clock.stage_separation_ns[: clock.stage])
+            yield Event(CUTOFF_NAME, time_ns, (stage + 1) * several)
+
+    def _cutoffs_ns(self, clock: Clock) -> list[int]:
+        """Return the times of the cutoffs before restarts."""
+        times_ns = [int(time_ns) for time_ns in clock.restart_cut_off_ns[: clock.restarts]]
+        return [*times_ns, clock.cut_off_ns] if self._awaits_restart(clock) else times_ns
+
+    def _is_no_burnout(self, clock: Clock, index: int) -> bool:
+        """Return True if the burnout of a stage is a cutoff before a restart, or happened in the stage before."""
+        time_ns, before_ns = (int(clock.stage_burnout_ns[k]) for k in (index, index - 1))
+        return time_ns in self._cutoffs_ns(clock) or (index > 0 and time_ns == before_ns)
 
     def _awaits_restart(self, clock: Clock) -> bool:
         """Return True in a coast before a restart."""
@@ -417,7 +425,8 @@ class FlightRun:
         """Return the metrics of the last cutoff by the guidance, and write their times."""
         burnout, ends, clock = self.packed.memory["burnout"][0], self.loaded.scenario.guidance.ends, self.clock
         burning = int(self.packed.memory["held"]["burning"][0])
-        end = ends[max(clock.restarts - burning, 0)] if clock.restarts > 0 or clock.cut_off_ns > 0 else None
+        happened = clock.restarts > 0 or 0 < clock.cut_off_ns <= burnout.time_ns  # a cutoff may be due after the end
+        end = ends[max(clock.restarts - burning, 0)] if happened else None
         times_s |= dict.fromkeys(CutoffMetrics._fields, math.nan if end is None else burnout.time_ns / 1e9)
         if end is None:
             return dict.fromkeys(CutoffMetrics._fields, math.nan)

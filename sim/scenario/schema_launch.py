@@ -56,7 +56,9 @@ class Restart(Section):
     """A further burn of the last engine after a coast, in which thrusters point the vehicle along its level motion."""
 
     coast_s: Positive | None = optional("from the preceding cutoff to the ignition, s")
-    before_apogee_s: NotNegative | None = optional("ignition before the next apogee of the Kepler orbit, s")
+    before_apogee_s: NotNegative | None = optional(
+        "ignition before the next apogee of the Kepler orbit, s; at once if that is nearer"
+    )
     settling_s: Seconds = optional("duration of settling thrust, which ends at the ignition, s", 0.0)
     settling_thrust_N: NotNegative = optional(
         "settling thrust, forward, of thrusters with their own propellant, N", 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 import numpy as np
@@ -426,9 +427,16 @@ class Scenario(Section):
             raise refuse("there are no orbits", "earth.gravity = 'j2', 'inverse_square'", at)
 
     def _check_inclination(self, wanted: OrbitTarget, at: tuple[str | int, ...]) -> None:
-        least = abs(self.site.latitude_deg)
-        if wanted.inclination_deg is not None and not least <= wanted.inclination_deg <= 180.0 - least:
-            allowed = f"{least:g} to {180.0 - least:g}, from the site's latitude"
+        from maxq.sim.world.earth import WGS84_FLATTENING  # noqa: PLC0415  # lazy: imports Numba
+
+        if wanted.inclination_deg is None:
+            return
+        given, on_ellipsoid = self.earth.flattening, self.earth.shape == "wgs84"
+        flattening = (WGS84_FLATTENING if given is None else given) if on_ellipsoid else 0.0
+        tangent = (1.0 - flattening) ** 2 * math.tan(math.radians(abs(self.site.latitude_deg)))
+        least = math.degrees(math.atan(tangent))
+        if not least - 1e-9 <= wanted.inclination_deg <= 180.0 - least + 1e-9:
+            allowed = f"{least:.4g} to {180.0 - least:.4g}, from the site's geocentric latitude"
             raise refuse("no plane through the site has it", allowed, (*at, "inclination_deg"))
 
     def _check_launch(self) -> None:
@@ -443,12 +451,19 @@ class Scenario(Section):
             radius_m = self.tower.radius_m + self.tower.vehicle_radius(self.vehicle.reference.diameter_m)
             if self.tower.distance_m <= radius_m:
                 raise refuse("the tower reaches into the vehicle", f"above {radius_m:g}", ("tower", "distance_m"))
+        last = self.guidance.ends[-1]
+        aims = {
+            "cutoff_speed_error_mps": isinstance(last, Cutoff) and last.apogee_altitude_m is None,
+            "cutoff_apogee_error_m": last is not None and last.apogee_altitude_m is not None,
+            "cutoff_perigee_error_m": isinstance(last, OrbitTarget),
+        }
         for n, requirement in enumerate(self.requirement):
             needs = {
                 "[rail]": requirement.metric == "rail_exit_speed_mps" and self.rail is None,
                 "[tower]": requirement.metric in LaunchMetrics._fields[:2] and self.tower is None,
-                "guidance.orbit or guidance.cutoff": requirement.metric in CutoffMetrics._fields
-                and not any(self.guidance.ends),
+                "guidance.orbit or guidance.cutoff, of the last burn": requirement.metric in CutoffMetrics._fields
+                and last is None,
+                "a last burn that aims at it": not aims.get(requirement.metric, True),
             }
             for allowed, missing in needs.items():
                 if missing:

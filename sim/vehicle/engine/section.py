@@ -90,7 +90,7 @@ class EngineSection(Section):
 
 
 class RollThrusters(Section):
-    """The on/off cold-gas thrusters about the roll axis."""
+    """The on/off cold-gas thrusters about the roll axis, and in a coast before a restart about pitch and yaw."""
 
     torque_Nm: Positive = Field(description="torque of one direction while on, N m")
     pitch_yaw_torque_Nm: Positive | None = optional(
