@@ -21,6 +21,7 @@ from maxq.tools.plots.figures import COLOURS, Panel, Plot, Series, limit, line, 
 
 LOWEST_DB = -40.0  # of Bode and Nichols plots
 _LOWEST_HZ = 0.05  # of Bode plots
+_ABOVE_LAST = 1.25  # end of the frequency axis / highest frequency above LOWEST_DB
 _HIGHEST_DB = 50.0
 _FARTHEST = 3.4  # of Nyquist plots: |L| of 21 dB
 _SIGNS = {">=": "≥", "<=": "≤"}
@@ -114,7 +115,8 @@ def bode_panels(every: Sequence[Series]) -> list[Panel]:
     drawn = f >= _LOWEST_HZ
     visible = drawn & (level > LOWEST_DB)
     visible = visible if visible.any() else drawn
-    reach, top = (_LOWEST_HZ, float(f.max())), min(float(level[drawn].max()) + 10.0, _HIGHEST_DB + 10.0)
+    highest = min(float(f.max()), _ABOVE_LAST * float(f[visible].max()))
+    reach, top = (_LOWEST_HZ, highest), min(float(level[drawn].max()) + 10.0, _HIGHEST_DB + 10.0)
     turns = (90.0 * math.floor(phase[visible].min() / 90.0), 90.0 * math.ceil(phase[visible].max() / 90.0))
     return [
         Panel("gain |L|", [], "frequency, Hz", "dB", reach, (LOWEST_DB, max(top, 10.0)), log_x=True, plane="gain"),
@@ -162,10 +164,10 @@ def explorer(
     nichols = nichols_panel(loops, [], "Nichols")
     for panel, height in ((gain, 175), (phase, 175), (distance, 175), (nichols, 255), (nyquist, 332)):
         panel.height = height
+    slider = "The slider chooses the operating point; left and right arrow keys move it. " if len(judged) > 1 else ""
     caption = (
-        "The slider chooses the operating point; left and right arrow keys move it. Red: the gain and phase margins, "
-        "and the least |1 + L|. Nichols: over contours of |T| in dB and of the phase of T. Nyquist: the radius is |L| "
-        "up to 1 and 1 + ln |L| beyond."
+        f"{slider}Red: the gain and phase margins, and the least |1 + L|. Nichols: over contours of |T| in dB and of "
+        "the phase of T. Nyquist: the radius is |L| up to 1 and 1 + ln |L| beyond."
     )
     panels = [gain, phase, distance, nichols, nyquist]
     return Plot("loop", "Open loop", panels, caption, 2, 175, loops=loops, split=3)
@@ -200,7 +202,7 @@ def limits_over_flight(checks: Sequence[Check]) -> list[Plot]:
     """Return the margin to each limit over the flight, and each limited quantity with its limit."""
     held = [c for c in checks if np.isfinite(c.time_s).all() and not is_stability(c)]
     found = [c for c in held if np.isfinite(c.values).any()]  # a vehicle without a mode has no peak of it
-    if not found:
+    if np.unique(np.concatenate([np.zeros(0), *(c.time_s for c in found)])).size < 2:  # nothing over time
         return []
     relative, apart = list[Series](), dict[str, list[Check]]()
     for c in found:

@@ -48,8 +48,13 @@ _MEANINGS = {
     "clearance of the zone": "clearance of L from the diamond of 6 dB and 30 deg: negative inside, 0 on its border, "
     "1 a diamond's width away",
     "crossover, Hz": "last gain crossover outside lobes, the bandwidth",
+    "at Hz": "frequency of the crossing that sets the margin",
+    "V/F": "gyro pulses counted over one sample",
+    "hold": "command held over one sample",
+    "sum": "gain or phase of L at the crossing",
+    "left": "margin: distance of the sum from 0 dB or -180 deg",
 }
-"""The meanings of columns of the table of margins, by head."""
+"""The meanings of columns of the tables of margins and budgets, by head."""
 _TRIED_HZ = np.geomspace(0.02, 20.0, 40)
 PageTable = tuple[str, Sequence[tuple[str, ...]]]
 """The caption and the rows, the head first."""
