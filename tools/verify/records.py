@@ -65,7 +65,10 @@ def records(found: Verification) -> dict[str, Any]:
 
 
 def write_attempts(found: Verification, folder: Path) -> Path:
-    """Copy the ledger of the vehicle into the pack. Raises FileError, or OSError where it cannot be read."""
+    """Copy the ledger, with the attempts for all its vehicles, into the pack.
+
+    Raises FileError, or OSError where it cannot be read.
+    """
     return write_whole(folder / ATTEMPTS_NAME, found.attempt.path.read_bytes())
 
 
