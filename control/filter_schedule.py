@@ -26,7 +26,7 @@ from typing import Annotated
 
 import numpy as np
 
-from maxq.control.filters import BendingFilter, Discretization, FirstOrderSection, QuadraticSection
+from maxq.control.filters import BendingFilter, Discretization, FirstOrderSection, QuadraticSection, bilinear_constant
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef, find_interval, fit, interpolate_into
@@ -138,13 +138,6 @@ def make_moving_filter(
     return MovingFilter(
         pool.add(schedule.table), *schedule.structure, 2.0 * math.pi / bilinear_constant(sample_s, method, prewarp_hz)
     )
-
-
-def bilinear_constant(sample_s: float, method: Discretization, prewarp_hz: float | None) -> float:
-    """Return c of s = c (z - 1)/(z + 1), 1/s."""
-    if method == "bilinear" or prewarp_hz is None:
-        return 2.0 / sample_s
-    return 2.0 * math.pi * prewarp_hz / math.tan(math.pi * prewarp_hz * sample_s)
 
 
 @kernel

@@ -124,15 +124,20 @@ class BendingFilter:
                 raise ValueError(
                     f"prewarp_hz = {prewarp_hz}: allowed is above 0 and below the Nyquist frequency {nyquist_hz:g} Hz"
                 )
-            c = 2 * math.pi * prewarp_hz / math.tan(math.pi * prewarp_hz * sample_s)
-            sections = [_bilinear(n, d, c) for n, d in self.polynomials()]
-        elif method in ("bilinear", "prewarped"):
-            sections = [_bilinear(n, d, 2 / sample_s) for n, d in self.polynomials()]
+        if method in ("bilinear", "prewarped"):
+            sections = [_bilinear(n, d, bilinear_constant(sample_s, method, prewarp_hz)) for n, d in self.polynomials()]
         elif method == "matched":
             sections = [_matched(n, d, sample_s) for n, d in self.polynomials()]
         else:
             sections = _step_invariant(self.polynomials(), sample_s)
         return DiscreteFilter(np.array(sections).reshape(-1, 5), sample_s)
+
+
+def bilinear_constant(sample_s: float, method: Discretization, prewarp_hz: float | None) -> float:
+    """Return c of s = c (z - 1)/(z + 1), 1/s."""
+    if method == "bilinear" or prewarp_hz is None:
+        return 2.0 / sample_s
+    return 2.0 * math.pi * prewarp_hz / math.tan(math.pi * prewarp_hz * sample_s)
 
 
 @dataclass(frozen=True)
