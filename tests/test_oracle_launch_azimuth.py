@@ -11,7 +11,8 @@ from flightkit import load
 from test_oracle_restart import TREE as RESTART
 
 from maxq import ScenarioError
-from maxq.tools.vehicle.azimuth import geocentric_rad, launch_azimuth_deg
+from maxq.sim.world.earth import geocentric_rad
+from maxq.tools.vehicle.azimuth import launch_azimuth_deg
 from maxq.tools.vehicle.layout import read_layout
 
 RADIUS_m, MU, SPIN_radps = 6378137.0, 3.986004418e14, 7.292115e-5

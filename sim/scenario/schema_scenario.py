@@ -427,14 +427,13 @@ class Scenario(Section):
             raise refuse("there are no orbits", "earth.gravity = 'j2', 'inverse_square'", at)
 
     def _check_inclination(self, wanted: OrbitTarget, at: tuple[str | int, ...]) -> None:
-        from maxq.sim.world.earth import WGS84_FLATTENING  # noqa: PLC0415  # lazy: imports Numba
+        from maxq.sim.world.earth import WGS84_FLATTENING, geocentric_rad  # noqa: PLC0415  # lazy: imports Numba
 
         if wanted.inclination_deg is None:
             return
         given, on_ellipsoid = self.earth.flattening, self.earth.shape == "wgs84"
         flattening = (WGS84_FLATTENING if given is None else given) if on_ellipsoid else 0.0
-        tangent = (1.0 - flattening) ** 2 * math.tan(math.radians(abs(self.site.latitude_deg)))
-        least = math.degrees(math.atan(tangent))
+        least = math.degrees(geocentric_rad(abs(self.site.latitude_deg), flattening))
         if not least - 1e-9 <= wanted.inclination_deg <= 180.0 - least + 1e-9:
             allowed = f"{least:.4g} to {180.0 - least:.4g}, from the site's geocentric latitude"
             raise refuse("no plane through the site has it", allowed, (*at, "inclination_deg"))

@@ -86,6 +86,11 @@ def flat(**replaced: Any) -> Earth:
     return Earth(FLAT, **({"flattening": 0.0, "rate_radps": 0.0, "gravity": UNIFORM} | replaced))
 
 
+def geocentric_rad(latitude_deg: float, flattening: float = WGS84_FLATTENING) -> float:
+    """Return the geocentric latitude of a place on the ellipsoid with this geodetic latitude."""
+    return math.atan((1.0 - flattening) ** 2 * math.tan(math.radians(latitude_deg)))
+
+
 @kernel
 def gravitation(earth: Earth, x: float, y: float, z: float) -> Vector:
     """Return the gravitational acceleration (gx, gy, gz) [m/s2] at (x, y, z) [m], in the frame of the position: I or E.

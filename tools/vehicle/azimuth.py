@@ -7,11 +7,6 @@ import math
 from maxq.sim.world import earth
 
 
-def geocentric_rad(latitude_deg: float) -> float:
-    """Return the geocentric latitude of a place on the ellipsoid with this geodetic latitude."""
-    return math.atan((1.0 - earth.WGS84_FLATTENING) ** 2 * math.tan(math.radians(latitude_deg)))
-
-
 def launch_azimuth_deg(
     latitude_deg: float, inclination_deg: float, perigee_m: float, apogee_m: float, *, southwards: bool = False
 ) -> float:
@@ -21,10 +16,11 @@ def launch_azimuth_deg(
     Source: Skopinski & Johnson, NASA TN D-233 (1960). The Earth is a sphere, with the geocentric latitude of the site.
     Raises ValueError if no plane through the site has this inclination.
     """
-    cos_latitude = math.cos(geocentric_rad(latitude_deg))
+    latitude_rad = earth.geocentric_rad(latitude_deg)
+    cos_latitude = math.cos(latitude_rad)
     sine = math.cos(math.radians(inclination_deg)) / cos_latitude
     if abs(sine) > 1.0:
-        least = abs(math.degrees(geocentric_rad(latitude_deg)))
+        least = abs(math.degrees(latitude_rad))
         raise ValueError(f"{least:.4g} to {180.0 - least:.4g}, from the site's geocentric latitude")
     speed = math.sqrt(earth.WGS84_MU_m3ps2 * (2.0 / perigee_m - 2.0 / (perigee_m + apogee_m)))
     east = speed * sine - earth.WGS84_RATE_radps * perigee_m * cos_latitude
