@@ -35,7 +35,7 @@ from maxq.sim.campaign.statistics import NOT_MET, Shown, judge_failures, toleran
 from maxq.sim.campaign.store import HISTORIES, parts_in, read_manifest, read_part
 from maxq.sim.flight.metric_table import METRIC_NAMES, unit_of
 from maxq.sim.run.metrics import STEP_SCALES, judged_requirements, step_failure
-from maxq.sim.run.quantities import against_limit, by_utilisation, engineering_unit, utilisation
+from maxq.sim.run.quantities import against_limit, by_utilisation, engineering_unit, meets, utilisation
 from maxq.sim.scenario.schema_scenario import RequirementSection
 
 if TYPE_CHECKING:
@@ -328,8 +328,7 @@ def unfounded(data: DataSet) -> list[str]:
     data.read(["lost_s", "halvings", *errors, *STEP_SCALES, *(r.metric for r in judged)])
     met = np.ones(len(data.runs), bool)
     for r in judged:
-        values, (kind, bound) = data.numbers(r.metric), r.bound
-        met &= values <= bound if kind == "limit" else values >= bound
+        met &= np.array([meets(value, *r.bound) for value in data.numbers(r.metric)], bool)
     lost_s, halvings, out = data.numbers("lost_s"), data.numbers("halvings").astype(int), list[str]()
     columns = {name: data.numbers(name) for name in (*errors, *STEP_SCALES)}
     for i in np.flatnonzero(~data.void).tolist():
