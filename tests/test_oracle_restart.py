@@ -146,7 +146,10 @@ def test_the_coast_conserves_energy_and_ends_before_the_apogee() -> None:
     assert np.ptp(energy) < 1e-9 * abs(energy[0])
     assert np.ptp(momentum[:, 2]) < 1e-9 * abs(momentum[0, 2])
     t = flown.time_s("mass_kg")[coasting(flown)]
-    apogee = lambda _, y: y[:3] @ y[3:]  # noqa: E731
+
+    def apogee(_, y):
+        return y[:3] @ y[3:]
+
     apogee.terminal, apogee.direction = True, -1.0
     found = solve_ivp(kepler, (t[0], 4000.0), y[0], method="DOP853", rtol=1e-12, atol=1e-6, events=apogee, t_eval=t)
     assert np.abs(found.y.T - y).max() < 0.02

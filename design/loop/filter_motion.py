@@ -116,8 +116,8 @@ def moves_near(
     """Return for each operating point of a stage the motions of its filter between the neighbouring points.
 
     They are those at the point itself and at the points of the schedule, on both sides of each. The first and the last
-    operating point also stand for the schedule before and after them. The variable of the
-    schedule changes as it does between the points, the clock by 1 s/s.
+    operating point also stand for the schedule before and after them. The variable of the schedule changes as it does
+    between the points, the clock by 1 s/s.
     """
     time_s, first = np.unique([node.time_s for node in where], return_index=True)
     x = np.array([where[k].scheduled(over) for k in first])

@@ -215,10 +215,8 @@ def _law_requirement(results: Sequence[FlownResult]) -> list[JudgedRequirement]:
     judgement = suite.ACCEPTED if worst.law_share <= LAW_SHARE else suite.REJECTED
     wanted = f"<= {100.0 * LAW_SHARE:g} % of the largest"
     found = f"{100.0 * worst.law_share:.2g} % in {len(compared)} flights"
-    room, name = (
-        suite.room_left(worst.law_share, LAW_SHARE, "<="),
-        "gimbal angles of the code, difference from its design",
-    )
+    room = suite.room_left(worst.law_share, LAW_SHARE, "<=")
+    name = "gimbal angles of the code, difference from its design"
     return [JudgedRequirement("scenarios", name, wanted, found, judgement, room, worst.name, again=worst.again)]
 
 

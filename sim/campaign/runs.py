@@ -65,10 +65,10 @@ def fly_rows(loaded: LoadedCampaign, orders: Iterable[RunOrder], stop: Callable[
     """Fly these runs one after the other, and return the rows of those flown before `stop` returned True, in order.
 
     An error in a run becomes its row. A run whose integration errors are too large is flown again with half the step.
-    All runs are prepared before the first is flown, and judged after the last. A
-    flight displaces Python's code and data from the processor's caches, and reloading them for each run costs as much
-    as the preparation. Only external flight code is started in turn, because it flies in a separate process, one per
-    thread. Raises CampaignError if the file rejects the draws.
+    All runs are prepared before the first is flown, and judged after the last. A flight displaces Python's code and
+    data from the processor's caches, and reloading them for each run costs as much as the preparation. Only external
+    flight code is started in turn, because it flies in a separate process, one per thread. Raises CampaignError if the
+    file rejects the draws.
     """
     pack, computer = packer(loaded), loaded.base.scenario.vehicle.computer
     runs = [_Run(loaded, drawn, run) for drawn, run in orders]

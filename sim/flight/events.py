@@ -90,7 +90,11 @@ def restart(memory: Memory) -> None:
 
 @routine
 def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux: Aux, properties: Array) -> int:
-    """Process all events that are due now, and return 1 if the engine has been ignited or cut off."""
+    """Process all events that are due now.
+
+    Returns 1 if the engine has been ignited for the first time, has burned out or was cut off. A restart sets
+    `clock.fresh` instead.
+    """
     clock, held = memory.clock, memory.held
     now = clock.now_ns
     if 0 < clock.ignite_ns <= now:
