@@ -175,7 +175,7 @@ def _page(
             ("scenario", scenario.name),
             ("plane", order.axis),
             ("loop", KINDS[order.kind]),
-            ("errata of the paper", order.errata),
+            ("errata", order.errata),
             ("plant", order.plant),
         ),
         groups=groups,

@@ -245,7 +245,7 @@ def _page(made: CaseDesign, verdict: str, command: str) -> DesignPage:
                 "filter and gain schedule",
                 ", ".join(dict.fromkeys(f"{c.filter.structure} {c.gains.schedule}" for c in cases)),
             ),
-            ("errata of the paper", case.errata),
+            ("errata", case.errata),
             ("plant", case.plant),
         ),
         groups=groups,
