@@ -4,8 +4,7 @@
           guidance, commanded attitude -----^          roll error and rate -> switching line -> thrusters
     several groups of engines: pitch, yaw and roll -> allocation -> limit -> DAC, for each group (allocation.py)
 
-A law is a module of control/laws with a parameter record, a state record with its start, and a tick for each gimbal
-axis. Its inputs are defined in attitude.py. This module holds its two records and two calls. External flight code
+The law is one of control/laws; flown.py there chooses it. Its inputs are defined in attitude.py. External flight code
 replaces the law, the roll control and the roll command (external.py).
 
 The computer contains neither the plant nor its own delay. It returns the command at once, and the caller applies the
@@ -42,33 +41,27 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw, QuaternionRow, RollPitchYaw, degrees, quaternion
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
-from maxq.control.laws import load_relief
 from maxq.control.laws.adaptive import Adaptive, AdaptiveState, augmented, start_adaptive
-from maxq.control.laws.drift import DriftState, navigate_drift, start_drift, tick_drift
-from maxq.control.laws.pd import (
-    LawInputs,
-    LawRow,
-    PdRecord,
-    PdState,
-    filtered,
-    law_row,
-    make_pd,
-    settle_pd,
-    start_pd,
-    tick_pd,
+from maxq.control.laws.flown import (
+    FlownLaw,
+    LawStates,
+    make_law,
+    navigate_law,
+    start_laws,
+    tick_law,
+    uses_accelerometer,
 )
-from maxq.control.laws.pid import Pid, PidRow, PidState, pid_row, start_pid, tick_pid
+from maxq.control.laws.pd import LawInputs, LawRow, filtered, law_row, settle_pd
+from maxq.control.laws.pid import PidRow, pid_row
 from maxq.control.orbit_guidance import OrbitGuidanceState, start_orbit_guidance
 from maxq.control.roll import Roll, RollState, silence_roll, start_roll, update_roll
 from maxq.control.sensors import Sensors, SensorState, blended_rate, make_sensors, read_sensors, start_sensors
-from maxq.control.structures import GAINS, LAWS, OVER, Attitude, Law, Over
+from maxq.control.structures import GAINS, OVER, Attitude, Law, Over
 
 # Neither a gyro nor a scenario has a larger turn in one sample: a larger value is a fault.
 INCREMENT_LIMIT_RAD = 1.0e3
 
 _UNUSED_ROLL = Roll(0.0, 1.0, 0.0, 0)
-_PID, _LOAD_RELIEF, _INCIDENCE_RELIEF = map(LAWS.index, ("pid", "load-relief", "incidence-relief"))
-_DRIFT, _PID_DRIFT = map(LAWS.index, ("drift", "pid-drift"))
 
 
 @dataclass(frozen=True)
@@ -100,15 +93,12 @@ class Computer:
     converter: Converter
     attitude: int
     angle_error_limit_rad: float
-    flown_law: int  # index into `LAWS` of structures.py
-    law: PdRecord
-    pid: Pid
+    law: FlownLaw
     command_limit_rad: float
     dac_step_rad: float
     roll: Roll
     allocation: Allocation  # allocation of the current stage
     sensors: Sensors
-    relief: load_relief.LoadRelief
     takes_over: int = 0  # 1: the stage has its own law or timing, which starts at the separation
     over: int = 0  # variable of the gain schedule, index into `OVER` of structures.py
     burns: Burns = field(default_factory=Burns)  # cutoffs and restarts of the last engine, in its stages
@@ -134,8 +124,7 @@ class ComputerState:
     converter: ConverterState
     guidance: GuidanceState
     attitude: AttitudeError
-    law: PdState
-    pid: PidState
+    law: LawStates
     requested_rad: Annotated[Array, (2,)]
     command_limited: Annotated[IntArray, (2,)]
     command_rad: Annotated[Array, (2,)]
@@ -144,8 +133,6 @@ class ComputerState:
     allocation: AllocationState
     external: ExternalState
     sensors: SensorState
-    relief: load_relief.LoadReliefState
-    drift: DriftState
     orbit: OrbitGuidanceState
     burns: BurnsState
     adaptive: AdaptiveState
@@ -219,21 +206,21 @@ def build_computer(
         converter=make_converter(count_rad),
         attitude=METHODS.index(attitude),
         angle_error_limit_rad=angle_error_limit_rad,
-        flown_law=LAWS.index(law),
-        law=make_pd(
+        law=make_law(
+            law,
             _placed(pool, "gains", gains, 2 * len(GAINS[law])),
             sample_ns,
             pitch_filter,
             yaw_filter or pitch_filter,
             moving=moving_filter,
+            integral_limit_rad=integral_limit_rad,
+            relief_hz=relief_hz or 0.0,
         ),
-        pid=Pid(integral_limit_rad),
         command_limit_rad=command_limit_rad,
         dac_step_rad=dac_step_rad,
         roll=roll or _UNUSED_ROLL,
         allocation=ONE_GROUP,
         sensors=sensors or make_sensors(),
-        relief=load_relief.LoadRelief(load_relief.lag_share(relief_hz or 0.0, sample_ns / 1.0e9)),
         over=OVER.index(over),
         adaptive=adaptive or Adaptive(),
         loops=loops or loop_filters.LoopFilters(),
@@ -256,13 +243,10 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
     start_guidance(pool, computer.programme, state.guidance, time_s)
     start_converter(state.converter)
     start_attitude_error(state.attitude)
-    start_pd(computer.law, state.law)
-    start_pid(state.pid)
+    start_laws(computer.law, state.law)
     start_roll(state.roll)
     start_allocation(state.allocation)
     start_sensors(computer.sensors, state.sensors)
-    load_relief.start_load_relief(state.relief)
-    start_drift(state.drift)
     start_orbit_guidance(state.orbit)
     start_burns(state.burns)
     for k in range(2):
@@ -286,24 +270,24 @@ def take_over(before: Computer, computer: Computer, state: ComputerState) -> Non
     attitude, old, new, loops = state.attitude, before.loops, computer.loops, state.loops
     loops.fading = new.fade_ticks
     for gimbal in range(2):
-        memory = state.law.filter_memory[gimbal]
+        memory = state.law.pd.filter_memory[gimbal]
         loop_filters.keep_filter(
-            loops, loop_filters.OUTPUT, gimbal, before.law.sections[gimbal], before.law.n_sections[gimbal], memory
+            loops, loop_filters.OUTPUT, gimbal, before.law.pd.sections[gimbal], before.law.pd.n_sections[gimbal], memory
         )
-        moving = before.law.moving
+        moving = before.law.pd.moving
         if moving.table.n_breaks != 0:
             kept, kept_memory = (
                 loops.old_sections[loop_filters.OUTPUT, gimbal],
                 loops.old_memory[loop_filters.OUTPUT, gimbal],
             )
-            freeze_moving(moving, state.law.moving, gimbal, kept, kept_memory)
+            freeze_moving(moving, state.law.pd.moving, gimbal, kept, kept_memory)
             loops.old_n_sections[loop_filters.OUTPUT, gimbal] = moving.n_quadratic + moving.n_first_order
         loop_filters.take_over_filter(old, new, loops, loop_filters.ATTITUDE, gimbal, attitude.theta_e_rad[gimbal + 1])
         loop_filters.take_over_filter(old, new, loops, loop_filters.RATE, gimbal, attitude.rate_radps[gimbal + 1])
         if computer.sensors.accelerometer >= 0:
             lateral_mps2 = state.sensors.value[computer.sensors.accelerometer, 2 - gimbal]
             loop_filters.take_over_filter(old, new, loops, loop_filters.ACCELERATION, gimbal, lateral_mps2)
-        settle_pd(computer.law, state.law, gimbal)
+        settle_pd(computer.law.pd, state.law.pd, gimbal)
     start_adaptive(computer.adaptive, state.adaptive)
     start_roll(state.roll)
 
@@ -380,8 +364,8 @@ def computer_tick(
     if computer.external != 0:
         call_external(computer, state, time_s)
     at = time_s if computer.over == 0 else state.navigation[computer.over - 1]
-    if computer.law.moving.table.n_breaks != 0:
-        move_filter(computer.law.moving, pool, state.law.moving, at)
+    if computer.law.pd.moving.table.n_breaks != 0:
+        move_filter(computer.law.pd.moving, pool, state.law.pd.moving, at)
     for gimbal in range(2):
         injected_rad = gimbal_injection_rad[gimbal]
         if not abs(injected_rad) <= INCREMENT_LIMIT_RAD:
@@ -501,11 +485,10 @@ def update_command(
     """
     error_rad, rate_radps = state.attitude.theta_e_rad[gimbal + 1], state.attitude.rate_radps[gimbal + 1]
     lateral_mps2, sample_s = 0.0, computer.sample_ns / 1.0e9
-    if computer.external == 0 and computer.flown_law >= _LOAD_RELIEF:
-        lateral_mps2 = state.sensors.value[computer.sensors.accelerometer, 2 - gimbal]
-    if computer.external == 0 and computer.flown_law >= _DRIFT:
-        axial_mps2, turned_rad = state.sensors.value[computer.sensors.accelerometer, 0], state.attitude.error_rad
-        navigate_drift(state.drift, gimbal, lateral_mps2, axial_mps2, turned_rad[gimbal + 1], sample_s)
+    if computer.external == 0 and uses_accelerometer(computer.law) == 1:
+        force_mps2, turned_rad = state.sensors.value[computer.sensors.accelerometer], state.attitude.error_rad
+        lateral_mps2 = force_mps2[2 - gimbal]
+        navigate_law(computer.law, state.law, gimbal, lateral_mps2, force_mps2[0], turned_rad[gimbal + 1], sample_s)
     if computer.loops.on != 0 or state.loops.fading > 0:
         error_rad = loop_filters.filtered_input(computer.loops, state.loops, loop_filters.ATTITUDE, gimbal, error_rad)
         rate_radps = loop_filters.filtered_input(computer.loops, state.loops, loop_filters.RATE, gimbal, rate_radps)
@@ -519,28 +502,19 @@ def update_command(
     if computer.external != 0:
         wanted_rad = state.external.outputs.gimbal_rad[gimbal] * computer.control_on
         # sections with which a certificate alters the loop, not those of a design
-        law_rad = filtered(computer.law, state.law, gimbal, wanted_rad)
-    elif computer.flown_law == _LOAD_RELIEF:
-        law_rad = load_relief.tick_load_relief(computer.law, computer.relief, pool, state.law, state.relief, given)
-    elif computer.flown_law == _INCIDENCE_RELIEF:
-        law_rad = load_relief.tick_incidence_relief(computer.law, computer.relief, pool, state.law, state.relief, given)
-    elif computer.flown_law >= _DRIFT:
-        with_integral = 1 if computer.flown_law == _PID_DRIFT else 0
-        law_rad = tick_drift(computer.law, computer.pid, pool, state.law, state.pid, state.drift, given, with_integral)
-    elif computer.flown_law == _PID:
-        law_rad = tick_pid(computer.law, computer.pid, pool, state.law, state.pid, given)
+        law_rad = filtered(computer.law.pd, state.law.pd, gimbal, wanted_rad)
     else:
-        law_rad = tick_pd(computer.law, pool, state.law, given)
+        law_rad = tick_law(computer.law, pool, state.law, given)
     if state.loops.fading > 0:
         law_rad = loop_filters.faded(
-            computer.loops, state.loops, loop_filters.OUTPUT, gimbal, state.law.pd_rad[gimbal], law_rad
+            computer.loops, state.loops, loop_filters.OUTPUT, gimbal, state.law.pd.pd_rad[gimbal], law_rad
         )
-        state.law.filtered_rad[gimbal] = law_rad
+        state.law.pd.filtered_rad[gimbal] = law_rad
     if computer.adaptive.on != 0 and computer.control_on != 0:
         law_rad = augmented(
             computer.adaptive, state.adaptive, state.attitude, state.guidance.rate_radps, gimbal, sample_s, law_rad
         )
-        state.law.filtered_rad[gimbal] = law_rad
+        state.law.pd.filtered_rad[gimbal] = law_rad
     requested_rad = injected_rad if replaces != 0 else law_rad + injected_rad
     state.requested_rad[gimbal] = requested_rad
     state.command_limited[gimbal] = 1 if abs(requested_rad) > computer.command_limit_rad else 0
@@ -577,8 +551,8 @@ def control_row(state: ComputerState) -> ControlRow:
     return ControlRow(
         counts_axis=RollPitchYaw(counts[0], counts[1], counts[2]),
         attitude=attitude_row(state.attitude),
-        law=law_row(state.law),
-        pid=pid_row(state.pid),
+        law=law_row(state.law.pd),
+        pid=pid_row(state.law.pid),
         saturated_axis=PitchYaw(limited[0], limited[1]),
         roll_thruster=state.roll.demand,
     )

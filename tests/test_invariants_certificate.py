@@ -175,7 +175,7 @@ def test_margin_is_found_again_from_an_altered_flight(held) -> None:
 
     def more_gain(packed: Packed) -> None:
         computer = packed.parameters[0].computer
-        computer.law.sections[0, 0, :3] *= 10.0**0.1
+        computer.law.pd.sections[0, 0, :3] *= 10.0**0.1
 
     found = measure_margin(dataclasses.replace(held, fault=more_gain), loop, margins(loop), "gain_up")
     assert found.reason == ""
@@ -219,7 +219,7 @@ def test_what_grows_ends_as_a_limit_cycle_or_is_lost(held) -> None:
 
     def over(db: float):
         def change(packed: Packed) -> None:
-            filters = packed.parameters[0].computer.law
+            filters = packed.parameters[0].computer.law.pd
             filters.sections[0, int(filters.n_sections[0])] = [10.0 ** (db / 20.0), 0.0, 0.0, 0.0, 0.0]
             filters.n_sections[0] += 1
 

@@ -128,8 +128,8 @@ def test_yaw_may_have_its_own_filter() -> None:
     flown = Flown(programme=None, yaw_filter=none)
     for increment_rad in noise():
         flown.tick(increment_rad)
-        assert flown.state.law.filtered_rad[1] == flown.state.law.pd_rad[1]
-    assert flown.state.law.filtered_rad[0] != flown.state.law.pd_rad[0]
+        assert flown.state.law.pd.filtered_rad[1] == flown.state.law.pd.pd_rad[1]
+    assert flown.state.law.pd.filtered_rad[0] != flown.state.law.pd.pd_rad[0]
 
 
 @pytest.mark.slow
@@ -182,7 +182,7 @@ def test_injected_gimbal_command_adds_or_replaces_before_limit_and_dac() -> None
     flown = Flown(programme=None, dac_step_rad=0.001)
     flown.tick((0.0, 0.002, 0.002), gimbal_rad=(0.05, 0.05), gimbal_replaces=(0, 1))
     state = flown.state
-    assert state.requested_rad[0] == state.law.filtered_rad[0] + 0.05
+    assert state.requested_rad[0] == state.law.pd.filtered_rad[0] + 0.05
     assert state.requested_rad[1] == 0.05
     assert flown.state.command_rad[1] == pytest.approx(0.05, abs=1e-15)
     assert abs(flown.state.command_rad[0] - state.requested_rad[0]) <= 0.0005

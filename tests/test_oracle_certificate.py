@@ -105,7 +105,7 @@ def test_load_relief_is_certified_where_its_held_flight_topples() -> None:
     assert [math.isfinite(row.measured) for row in found.margins] == [True, True]
 
     def deaf(packed: Packed) -> None:
-        packed.parameters[0].computer.relief.share *= 0.5
+        packed.parameters[0].computer.law.relief.share *= 0.5
 
     assert not certify_node(loaded, node, fault=deaf, bands=RESPONSE_BANDS[:1], names=()).agrees
 

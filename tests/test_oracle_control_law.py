@@ -109,8 +109,8 @@ def test_command_is_equation_33_with_gains_of_the_moment() -> None:
             k_p = np.interp(time_s, gains.at, gains.k_p)
             k_d = np.interp(time_s, gains.at, gains.k_d_s)
             assert command[gimbal] == pytest.approx(-k_p * angle - k_d * angle / 0.01, rel=1e-12)
-            assert flown[2].law.k_p[gimbal] == pytest.approx(k_p, rel=1e-12)
-            assert flown[2].law.k_d_s[gimbal] == pytest.approx(k_d, rel=1e-12)
+            assert flown[2].law.pd.k_p[gimbal] == pytest.approx(k_p, rel=1e-12)
+            assert flown[2].law.pd.k_d_s[gimbal] == pytest.approx(k_d, rel=1e-12)
 
 
 @pytest.mark.parametrize("attitude", ["quaternion", "rate-integral"])

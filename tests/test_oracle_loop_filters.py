@@ -122,7 +122,7 @@ def test_each_loop_has_its_filter_before_the_law(gains: GainSchedule) -> None:
             there = felt - lever * np.diff(rate, prepend=0.0) / T
             alpha = lfilter([1.0 - kept], [1.0, -kept], there) / slope
             relief = -np.interp(time_s, gains.at, gains.k_alpha) * alpha
-            assert ticked.state.relief.incidence_rad[gimbal] == pytest.approx(alpha[-1])
+            assert ticked.state.law.relief.incidence_rad[gimbal] == pytest.approx(alpha[-1])
         else:
             relief = np.interp(time_s, gains.at, gains.k_a_s2pm) * lfilter([1.0 - kept], [1.0, -kept], felt)
         wanted = run_through(discrete, -k_p * angle - k_d * rate + relief)

@@ -78,7 +78,7 @@ def test_command_is_the_sum_of_three_terms_behind_the_filter() -> None:
         for b0, b1, b2, a1, a2 in discrete.sections:
             wanted = lfilter([b0, b1, b2], [1.0, a1, a2], wanted)
         np.testing.assert_allclose(flown[:, gimbal], wanted, rtol=1e-9, atol=1e-12)
-    assert ticked.state.pid.k_i_ps[0] == pytest.approx(k_i[-1])
+    assert ticked.state.law.pid.k_i_ps[0] == pytest.approx(k_i[-1])
 
 
 def closed(gains: GainSchedule, torque: Any, **more: Any) -> Array:
@@ -132,7 +132,7 @@ def test_a_command_at_its_limit_winds_nothing_up() -> None:
     ticked = Ticked(one, command_limit_rad=0.02)
     for _ in range(3000):  # an error that only grows: the sum stops where the limit is reached
         ticked(np.array([0.0, 1e-4, 0.0]))
-    assert 0.0 < ticked.state.pid.integral_rad[0] < 0.02
+    assert 0.0 < ticked.state.law.pid.integral_rad[0] < 0.02
 
 
 def loop_of(kind: str, k_i_ps: float) -> Loop:

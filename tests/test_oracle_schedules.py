@@ -59,7 +59,7 @@ def test_computer_takes_its_gains_at_what_it_is_given(over: str) -> None:
         state.navigation[:] = values[1:]
         computer_tick(computer, tables, state, values[0], np.zeros(3), np.zeros(3), none3, np.zeros(2), none2)
         wanted = np.interp(values[OVER.index(over)], at, K_P), np.interp(values[OVER.index(over)], at, K_D)
-        assert (state.law.k_p[1], state.law.k_d_s[1]) == pytest.approx(wanted, rel=1e-12), k
+        assert (state.law.pd.k_p[1], state.law.pd.k_d_s[1]) == pytest.approx(wanted, rel=1e-12), k
 
 
 def density_kgpm3(altitude_m: float) -> float:

@@ -43,6 +43,6 @@ def test_all_that_is_left_out_is_ideal() -> None:
     computer = pack([build_computer(Pool(), sample_ns=SAMPLE_NS)])[0]
     assert computer.converter.count_rad == computer.dac_step_rad == 0.0
     assert computer.command_limit_rad == computer.angle_error_limit_rad == np.inf
-    assert computer.law.gains.n_breaks == computer.programme.n_breaks == 0
+    assert computer.law.pd.gains.n_breaks == computer.programme.n_breaks == 0
     assert computer.roll_on == 0
-    assert list(computer.law.n_sections) == [0, 0]
+    assert list(computer.law.pd.n_sections) == [0, 0]

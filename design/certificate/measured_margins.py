@@ -337,14 +337,14 @@ def _step_rad(held: HeldFlight) -> float:
 
 def longest_delay_s(held: HeldFlight) -> float:
     """Return the longest delay for which the filter has free sections, two samples each."""
-    free = MAX_SECTIONS - int(held.packed.parameters[0].computer.law.n_sections[held.axis])
+    free = MAX_SECTIONS - int(held.packed.parameters[0].computer.law.pd.n_sections[held.axis])
     return 2.0 * free * held.sample_s
 
 
 def alter(packed: Packed, held: HeldFlight, what: MarginName, amount: float) -> None:
     """Alter the packed flight's computer in place, on the held axis, by sections downstream of those of the filter."""
     row, axis = packed.parameters[0].computer, held.axis
-    sections, used = row.law.sections[axis], int(row.law.n_sections[axis])
+    sections, used = row.law.pd.sections[axis], int(row.law.pd.n_sections[axis])
     if what != "delay":
         extra = [[_gain(what, amount), 0.0, 0.0, 0.0, 0.0]]
     else:
@@ -355,7 +355,7 @@ def alter(packed: Packed, held: HeldFlight, what: MarginName, amount: float) -> 
         raise ValueError(f"a delay of {amount:g} s needs {len(extra)} filter sections: {MAX_SECTIONS - used} are free")
     for k, section in enumerate(extra):
         sections[used + k] = section
-    row.law.n_sections[axis] = used + len(extra)
+    row.law.pd.n_sections[axis] = used + len(extra)
 
 
 @dataclass(frozen=True)

@@ -126,12 +126,12 @@ def fill_fast(p: Parameters, out: Logged, memory: Memory, at: Evaluation, row: A
     if out.adaptive == 1:
         column = put(row, column, adaptive_row(memory.computer.adaptive))
     if out.drift == 1:
-        column = put(row, column, drift_row(memory.computer.drift))
+        column = put(row, column, drift_row(memory.computer.law.drift))
     for k in range(logged.sensors):
         first, counted = sensor_index(sizes, k), vector_at(memory.computer.sensors.value[k], 0)
         if p.vehicle.sensors[k].kind == ACCELEROMETER:
             column = put(row, column, accelerometer_row(memory.held.faults, k, y, first, counted))
-            column = put(row, column, load_relief_row(memory.computer.relief))
+            column = put(row, column, load_relief_row(memory.computer.law.relief))
         else:
             column = put(row, column, rate_gyro_row(memory.held.faults, k, y, first, counted))
 

@@ -124,15 +124,15 @@ def further_gyros(computer: Any) -> int:
 def _declared(packed: Packed, said: str) -> Iterator[str]:
     """Return flight_law_tables.h."""
     each = [row.computer for row in packed.parameters]
-    law = LAWS[int(each[0].flown_law)]
+    law = LAWS[int(each[0].law.kind)]
     relief = RELIEF.index(law) + 1 if law in RELIEF else 0
     first, filters = each[0], int(any(int(one.loops.on) or int(one.loops.fade_ticks) for one in each))
-    moving = max(int(one.law.moving.table.n_columns) for one in each)
+    moving = max(int(one.law.pd.moving.table.n_columns) for one in each)
     numbers = (
         ("STAGES", len(packed.parameters), ""),
         ("COUNT_RAD", float(first.converter.count_rad), "angle per gyro pulse; 0: angles are given"),
         ("RATE_INTEGRAL", int(int(first.attitude) != QUATERNION), "1: the error is the angle less the commanded angle"),
-        ("GAINS", table_in(packed.pool, first.law.gains).n_columns // 2, "of an axis"),
+        ("GAINS", table_in(packed.pool, first.law.pd.gains).n_columns // 2, "of an axis"),
         ("LOAD_RELIEF", relief, "1: the third gain is of the acceleration; 2: of the angle of attack"),
         ("INTEGRAL", int(law in INTEGRAL), "1: the third gain is of the integral"),
         ("DRIFT", int(law in DRIFT), "1: the last two gains are of drift velocity and displacement"),
@@ -201,17 +201,17 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
     """Return flight_law_tables.c."""
     yield from (f"/* {said} */", '#include "flight_law_tables.h"', "")
     gyros = max(further_gyros(row.computer) for row in packed.parameters)
-    parameters = max(1, *(int(row.computer.law.moving.table.n_columns) for row in packed.parameters))
+    parameters = max(1, *(int(row.computer.law.pd.moving.table.n_columns) for row in packed.parameters))
     stages = []
     for n, row in enumerate(packed.parameters):
         computer, roll, allocation = row.computer, row.computer.roll, row.computer.allocation
-        gains = table_in(packed.pool, computer.law.gains)
+        gains = table_in(packed.pool, computer.law.pd.gains)
         breaks = len(gains.breaks)
         yield from _array(f"static const law_real gain_at_{n}[{breaks}]", np.asarray(gains.breaks))
         yield from _array(
             f"static const law_real gain_{n}[{breaks - 1}][4][2 * LAW_GAINS]", np.asarray(gains.coefficients)
         )
-        moving = computer.law.moving
+        moving = computer.law.pd.moving
         points, names = int(moving.table.n_breaks), ("0", "0")
         if points > 0:
             schedule, names = table_in(packed.pool, moving.table), (f"filter_at_{n}", f"filter_{n}")
@@ -221,7 +221,7 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
             yield from _array(f"static const law_real {names[1]}[{points - 1}][2][LAW_FILTER_PARAMETERS]", lines)
         by_gimbals, adaptive = int(allocation.groups) > 1, computer.adaptive
         adapts = ("least", "span", "error_gain", "damper_gain", "leakage_ps", "low_pass_share")
-        assert computer.law.sections.shape == (2, MAX_SECTIONS, 5)
+        assert computer.law.pd.sections.shape == (2, MAX_SECTIONS, 5)
         values = (
             int(computer.sample_ns),
             int(computer.sample_ns) / 1.0e9,
@@ -230,8 +230,8 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
                 min(float(limit), _ENDLESS)
                 for limit in (computer.angle_error_limit_rad, computer.command_limit_rad, computer.dac_step_rad)
             ),
-            min(float(computer.pid.limit_rad), _ENDLESS),
-            float(computer.relief.share),
+            min(float(computer.law.pid.limit_rad), _ENDLESS),
+            float(computer.law.relief.share),
             int(computer.roll_on),
             int(roll.minimum_on_ticks),
             *(float(getattr(roll, name)) for name in ("k_rate_s", "dead_band_rad", "hysteresis_rad")),
@@ -245,8 +245,8 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
             *(float(adaptive[name]) for name in adapts),
             adaptive.reference.tolist(),
             adaptive.high_pass[0].tolist(),
-            computer.law.n_sections.tolist(),
-            computer.law.sections.tolist(),
+            computer.law.pd.n_sections.tolist(),
+            computer.law.pd.sections.tolist(),
             points,
             int(moving.n_quadratic),
             int(moving.n_first_order),

@@ -108,7 +108,7 @@ def _exchange_a3_a4(packed: Packed) -> None:
 
 
 def _sections(packed: Packed) -> Array:
-    filters = packed.parameters[0].computer.law
+    filters = packed.parameters[0].computer.law.pd
     out: Array = filters.sections[0, : int(filters.n_sections[0])]
     return out
 
@@ -121,7 +121,7 @@ def _coefficient(section: int, place: int, factor: float) -> PackedChange:
 
 
 def _one_sample_late(packed: Packed) -> None:
-    filters = packed.parameters[0].computer.law
+    filters = packed.parameters[0].computer.law.pd
     used = int(filters.n_sections[0])
     assert used < MAX_SECTIONS
     filters.sections[0, used] = [0.0, 1.0, 0.0, 0.0, 0.0]
@@ -157,7 +157,7 @@ def _gains(rows: Callable[[Array], Array]) -> PackedChange:
     """Replace the gain table's columns (k_p pitch, k_d pitch, k_p yaw, k_d yaw) by `rows` of them."""
 
     def plant(packed: Packed) -> None:
-        table = table_in(packed.pool, packed.parameters[0].computer.law.gains).coefficients
+        table = table_in(packed.pool, packed.parameters[0].computer.law.pd.gains).coefficients
         table[:, 0] = rows(table[:, 0])
 
     return plant
@@ -243,7 +243,7 @@ FAULTS: tuple[PlantedFault, ...] = (
     PlantedFault("filter not pre-warped", "filter", _without_prewarping),
     PlantedFault("b0 of the first section, 2 %", "filter", _coefficient(0, 0, 1.02)),
     PlantedFault("a2 of the second section, 2 %", "filter", _coefficient(1, 4, 1.02)),
-    PlantedFault("second section left out", "filter", _set("computer.law.n_sections", lambda v: v - 1)),
+    PlantedFault("second section left out", "filter", _set("computer.law.pd.n_sections", lambda v: v - 1)),
     PlantedFault("gains of the previous row", "law", _gains(lambda g: g * (1.0 + 0.034 / 0.838))),
     PlantedFault("k_p and k_d exchanged", "law", _gains(lambda g: g[:, [1, 0, 3, 2]])),
     PlantedFault("k_d, sign", "law", _gains(lambda g: g * [1.0, -1.0, 1.0, 1.0])),
