@@ -69,7 +69,7 @@ def sine_cosine(x: float) -> tuple[float, float]:
 
 @kernel
 def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> Matrix:
-    """Return the matrix from B to I of a quaternion; for a norm near one, its error is first order in the norm's error."""
+    """Return the rotation matrix from B to I; its error is of first order in the deviation of the norm from one."""
     return (
         1.0 - 2.0 * (y * y + z * z),
         2.0 * (x * y - w * z),
