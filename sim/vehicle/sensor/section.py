@@ -1,4 +1,4 @@
-"""The rate gyros and the accelerometer of a stage, as in the vehicle file."""
+"""The schema of the rate gyros and the accelerometer of a stage in the vehicle file."""
 
 from __future__ import annotations
 
