@@ -69,7 +69,7 @@ class ModeShapes:
         return np.reshape(c1 + c2 * s * 2.0 + c3 * (s * s) * 3.0, (-1, *self._of))
 
     def _at(self, station_m: ArrayLike) -> tuple[Array, Array]:
-        """Return the distance (P, 1) of each station from the start of its interval, and its coefficients (4, P, T M)."""
+        """Return the distance (P, 1) of each station into its interval, and the coefficients (4, P, T M)."""
         x, breaks = np.atleast_1d(np.asarray(station_m, float)), self._cubics.breaks
         k = np.clip(np.searchsorted(breaks, x, side="right") - 1, 0, len(breaks) - 2)
         return (x - breaks[k])[:, None], self._cubics.coefficients[k].transpose(1, 0, 2)
