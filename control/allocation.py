@@ -30,7 +30,7 @@ from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import NO_TABLE, TableRef, find_interval, interpolate
 
-_PARALLEL = 1e-9  # least determinant of controllable axes, relative to that of perpendicular ones
+_PARALLEL = 1e-9  # least determinant of controllable axes, relative to that of perpendicular axes
 
 
 @dataclass(frozen=True)

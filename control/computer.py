@@ -86,7 +86,7 @@ class Computer:
     - `attitude`: definition of the attitude error, index into `METHODS` of attitude.py.
     - `angle_error_limit_rad`: limit of theta_e.
     - `command_limit_rad`: limit of each gimbal command; inf is no limit.
-    - `dac_step_rad`: step of the digital-to-analogue converter; 0 is an ideal one.
+    - `dac_step_rad`: step of the digital-to-analogue converter; 0 is an ideal converter.
     """
 
     sample_ns: int
@@ -282,7 +282,8 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
 def take_over(before: Computer, computer: Computer, state: ComputerState) -> None:
     """Hand over from the law of the stage `before` to that of a stage with its own law.
 
-    The new filters are settled at the last inputs of the old ones, which fade out. Adaptation and roll control restart.
+    The new filters are settled at the last inputs of the old filters, which fade out. Adaptation and roll control
+    restart.
     """
     attitude, old, new, loops = state.attitude, before.loops, computer.loops, state.loops
     loops.fading = new.fade_ticks

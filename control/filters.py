@@ -110,12 +110,12 @@ class BendingFilter:
         """Return the discrete filter at the period `sample_s`.
 
         - `prewarped`: bilinear, s = c (z - 1)/(z + 1), with one constant c = ω0/tan(ω0 T/2) for all sections, so that
-          the response at ω0 = 2π `prewarp_hz` equals the continuous one.
+          the response at ω0 = 2π `prewarp_hz` equals the continuous response.
         - `bilinear`: c = 2/T (Tustin).
         - `matched`: poles and zeros are mapped by exp(sT), with a DC gain of 1. A pole or zero beyond the Nyquist
           frequency is rejected, because it would alias.
         - `zoh`: step-invariant for the cascade as a whole, so that the discrete sections do not correspond to the
-          continuous ones.
+          continuous sections.
 
         A filter without sections is 1 by any method and needs no `prewarp_hz`. Raises ValueError with key, value and
         allowed values.

@@ -3,7 +3,7 @@
 The control law needs the commanded angle (Lee, Ahn & Roh eq. 33: theta_e is the integral of q_g - q_c). A sum of
 sampled rates would have a discretisation error. The programme's table therefore contains the angle at each breakpoint
 in addition to the rates, and the kernel integrates the polynomial of the interval in closed form. Cubic rates (pchip)
-give a quartic angle, linear rates a quadratic one, and stepwise rates a piecewise linear one. All are exact to
+give a quartic angle, linear rates a quadratic angle, and stepwise rates a piecewise linear angle. All are exact to
 rounding.
 """
 
@@ -58,7 +58,7 @@ def rate_programme(
 
     Columns 0-2 are the commanded rates about x, y, z (roll, pitch, yaw), rad/s. Columns 3-5 are their integrals from
     the first time to the beginning of each interval, rad. The end rates apply outside `time_s`. With `step`, each rate
-    applies up to the next time, and the last one indefinitely. Raises ValueError as `tables.fit` does, and for columns
+    applies up to the next time, and the last rate indefinitely. Raises ValueError as `tables.fit` does, and for columns
     of different lengths.
     """
     times = np.atleast_1d(np.asarray(time_s, float))

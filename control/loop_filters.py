@@ -5,8 +5,8 @@ r"""Filters of the individual loops, and the fade-out of a stage's filters after
     acceleration   -> filter -> /
 
 The law's output always has its bending filter (laws/pd.py). A loop filter acts on one input of the law. After a
-separation, the filters of the previous stage run in parallel with the new ones for `fade_ticks` samples, with the same
-inputs. The output changes over linearly: the new filter has the weight k / (n + 1) at sample k of n.
+separation, the filters of the previous stage run in parallel with the new filters for `fade_ticks` samples, with the
+same inputs. The output changes over linearly: the new filter has the weight k / (n + 1) at sample k of n.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ class Sensors:
     """The parameters of the sensors.
 
     - `count`: number of sensors.
-    - `accelerometer`: index of the accelerometer, which is the last sensor; -1 without one.
+    - `accelerometer`: index of the accelerometer, which is the last sensor; -1 without an accelerometer.
     - `converter`: angle (rad) or velocity (m/s) per pulse.
     - `latency`: delay of the output, samples.
     - `blend` (2, sensors): weights w_0, w_1 and so on, in pitch and yaw.
@@ -101,7 +101,7 @@ def start_sensors(sensors: Sensors, state: SensorState) -> None:
 
 @routine
 def read_sensors(sensors: Sensors, state: SensorState, tick: int, sample_s: float, limit: float) -> int:
-    """Count the increments of a sample, and return the number of rejected ones: not finite, or beyond `limit`.
+    """Count the increments of a sample, and return the number of rejected increments: not finite, or beyond `limit`.
 
     If a sample is lost, the previous value remains in force, and the counts of the lost sample are not recovered.
     """

@@ -375,7 +375,7 @@ class BesideCompiler(DisjointCompiler):
         """Return the LLVM module of the routine with all its callees, under the symbol `name`.
 
         All other symbols of the module are made private. The loader takes equal names in several objects, even local
-        ones, for one function, and the function of another object may have other arguments.
+        names, for one function, and the function of another object may have other arguments.
         """
         result = self.here()
         progress.current().translated()

@@ -1,7 +1,7 @@
 """Decorators that compile kernels.
 
 A kernel is a plain Python function of floats, flat arrays and records. `@kernel` marks small functions, `@routine`
-large ones, and `@entry` the few that Python calls. The machine code of entries is stored on disk (kept_code.py).
+large functions, and `@entry` the few that Python calls. The machine code of entries is stored on disk (kept_code.py).
 
 `NUMBA_DISABLE_JIT=1` runs the same functions as plain Python.
 """

@@ -173,7 +173,7 @@ class EntryCache(FunctionCache):  # type: ignore[misc]  # Numba has no types
 
         Compiled code needs only the reference counts of arrays; a compilation loads the NumPy functions. If no machine
         code is stored, None is returned and this process compiles it. Other processes that need the same code wait for
-        the first one.
+        the first process.
         """
         rtsys.initialize(target)
         for _ in range(2):

@@ -7,7 +7,7 @@ the same noise, and any run of a campaign can be repeated alone.
 The bits come from Philox4x32-10 (Salmon, Moraes, Dror & Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC11,
 2011). The normal deviate is the inverse of the normal distribution at a uniform draw (Wichura, algorithm AS 241,
 Applied Statistics 37, 1988; 16 digits). All integers are masked to 32 bits after every product, so that wrapping 64-bit
-integers (compiled) and unbounded ones (plain Python) give the same bits.
+integers (compiled) and unbounded integers (plain Python) give the same bits.
 """
 
 from __future__ import annotations

@@ -151,7 +151,7 @@ _open: list[Compilation] = []
 
 
 def current() -> Compilation:
-    """Return the compilation in progress, or an empty one."""
+    """Return the compilation in progress, or an empty compilation."""
     return _open[0] if _open else Compilation("", [])
 
 

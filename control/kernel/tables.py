@@ -252,7 +252,7 @@ class Pool:
         self._size += size
 
     def put(self, *parts: Array) -> int:
-        """Append arrays and return the offset of the first one."""
+        """Append arrays and return the offset of the first array."""
         offset = self._size
         for part in parts:
             self._append(part, part.size)

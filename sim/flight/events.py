@@ -124,7 +124,7 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
             if p.environment.penetration == 1:
                 way_m = air.airspeed_mps * 1e-9 * turbulence.tick_ns
                 history_tick(memory.history, memory.gusts, way_m, p.environment.reach_m)
-    apply_due_command(p, memory)  # before the sample, whose command replaces the pending one
+    apply_due_command(p, memory)  # before the sample, whose command replaces the pending command
     if now >= clock.next_sample_ns:
         if p.computer.over != 0 or p.computer.external != 0:
             navigate(p.environment, pool, y, properties[TOTAL_MASS], memory.computer.navigation)
@@ -408,7 +408,7 @@ def transfer_state(
 
 @routine
 def keep_parts(old: Counts, new: Counts, turned: vec.Vector, whole: Array, y: Array) -> None:
-    """Write the states of the parts that remain when boosters separate; they are the first ones of each kind.
+    """Write the states of the parts that remain when boosters separate; they are the first parts of each kind.
 
     The modes of the remaining configuration are at rest until their motion is transferred. The axes B rotate by
     `turned`, rad. The bobs keep their inertial direction and rate.

@@ -1,6 +1,6 @@
 """The faults of a scenario in flight: values and times of their writes into the array that the components read.
 
-The instants are known in advance, or once the vehicle has lifted off, so that no step extends beyond one.
+The instants are known in advance, or once the vehicle has lifted off, so that no step extends beyond such an instant.
 """
 
 from __future__ import annotations

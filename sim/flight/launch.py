@@ -82,7 +82,7 @@ def along_axis(y: Array) -> float:
 
 @routine
 def lift_off(launch: Launch, state: LaunchMemory, held: Held, y: Array) -> None:
-    """Release the vehicle from the pad, and begin the guidance by the rail if there is one."""
+    """Release the vehicle from the pad, and begin the guidance by the rail if there is a rail."""
     held.on_pad = 0
     if launch.rail_m > 0.0:
         held.on_rail, state.rail_x_m = 1, along_axis(y)

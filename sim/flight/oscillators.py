@@ -6,7 +6,7 @@ functions
 
     phi_1(Z) = (exp(Z) - 1) / Z,   phi_2(Z) = (phi_1(Z) - 1) / Z,   phi_3(Z) = (phi_2(Z) - 1/2) / Z,   Z = h D.
 
-They are stored for the few step lengths that alternate. D may be any matrix near the current one that is constant
+They are stored for the few step lengths that alternate. D may be any matrix near the current matrix that is constant
 within a step. Hence the modes, which change with the propellant, are updated only every quarter of a second. Actuators
 and gyros are constant until the stage ends.
 """

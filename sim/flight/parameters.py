@@ -20,7 +20,7 @@ from maxq.sim.world.turbulence import TurbulenceState
 
 NEVER = 2**62  # ns: an instant that never occurs
 NONE = -1  # no place in the pool
-DROPS = 2  # value of `continues` for a stage that drops some boosters of the previous one
+DROPS = 2  # value of `continues` for a stage that drops some boosters of the previous stage
 
 # Events in the order of the events' table; BURNOUT is that of the last stage that burned.
 EVENT_NAMES = ("liftoff", "burnout", "separation", "apogee", "impact", "control_lost", "tumble", "diverged")

@@ -151,7 +151,7 @@ def names_a_path(name: str) -> bool:
 
 
 def note_other(name: str, other: Path | None) -> None:
-    """Warn that the built-in `name` is used instead of the user's file of that name, if there is one."""
+    """Warn that the built-in `name` is used instead of the user's file of that name, if that file exists."""
     if other is not None:
         theirs = shown(other.absolute())
         theirs = theirs if names_a_path(theirs) else f"./{theirs}"
@@ -189,7 +189,7 @@ def _nearest(name: Text, variants: Iterable[str]) -> str:
 
     if root in name.source.folders:
         for path in sorted(root.rglob("*")):
-            if {"campaigns", "layouts"}.intersection(path.relative_to(root).parts):  # no scenario names one
+            if {"campaigns", "layouts"}.intersection(path.relative_to(root).parts):  # no scenario names such a file
                 continue
             if asked.name in (path.name, path.stem) and fits(path):
                 return f"did you mean {path.relative_to(root).as_posix()}?"
@@ -202,7 +202,7 @@ def _nearest(name: Text, variants: Iterable[str]) -> str:
 
 
 def _below(path: Path) -> str:
-    """Return `did you mean x?` for a file of this name one or two folders below the intended one.
+    """Return `did you mean x?` for a file of this name one or two folders below the intended folder.
 
     Such a file is plausible, because simrun --copy keeps the folders of its files.
     """
@@ -307,7 +307,7 @@ class Reading:
     def document(
         self, path: Path, label: str, role: str, chain: tuple[Path, ...] = (), *, ignore_unset: bool = False
     ) -> TomlTable:
-        """Return the document in a file, merged over the one that it extends; `role` is a kind of WANTED.
+        """Return the document in a file, merged over the document that it extends; `role` is a kind of WANTED.
 
         `ignore_unset`: keep the keys that the file removes, because a file of an earlier version may use other names
         for them.

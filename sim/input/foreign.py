@@ -2,7 +2,7 @@
 
 RASP engine files (.eng) have comments after a semicolon and a header: name, diameter mm, length mm, delays, propellant
 kg, total kg, manufacturer. Times in s and thrusts in N follow. The first point (0, 0) is implied, and the last thrust
-is 0. The thrust is the measured one, usually at ground level. Only the first motor of a file is read.
+is 0. The thrust is a measurement, usually at ground level. Only the first motor of a file is read.
 
 Missile DATCOM output (for006.dat; W. B. Blake, AFRL-VA-WP-TR-1998-3009) has pages "STATIC AERODYNAMICS FOR ..." with
 MACH NO and columns ALPHA, CN, CM, CA, CY, CLN, CLL. For each Mach number the last page is read, that of the whole

@@ -75,7 +75,7 @@ class CsvTable:
         return {key: text for key, text in label.items() if text} | {k: v.tolist() for k, v in self.columns.items()}
 
     def get(self, name: str, default: float = 0.0) -> Column:
-        """Return a column, or a constant one if it is absent."""
+        """Return a column, or a column of `default` if it is absent."""
         return self.columns[name] if name in self.columns else np.full(len(self), default)
 
     def __eq__(self, other: object) -> bool:

@@ -7,7 +7,7 @@ the array `properties` of the kernels. The order of the columns is:
 - the fixed columns;
 - eight columns per tank;
 - the planar modes, row by row for all modes of a plane (pitch, then yaw). A row has a multiple of four modes, with
-  zeros for unused ones, so that kernels process four modes at a time;
+  zeros for unused modes, so that kernels process four modes at a time;
 - the spatial modes, row by row for all modes: frequency and mass, six rows for each place, softening and turning. A
   place is a station at which loads or sensors act; its rows are displacement along and rotation about x, y, z;
 - further thrust curves.

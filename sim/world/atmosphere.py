@@ -3,9 +3,9 @@
 The model is the US Standard Atmosphere 1976 (NOAA-S/T 76-1562), with its own constants (R* = 8314.32 N m/(kmol K), M =
 28.9644 kg/kmol, gamma = 1.4, r0 = 6356.766 km):
 
-- Up to 86 km, its closed formulas apply. Temperature is the molecular-scale temperature, which exceeds the kinetic one
-  by up to 0.08 K between 80 and 86 km. Below sea level the equations of the first layer extend to -5 km, the lower end
-  of the standard's tables. Below -5 km the values are constant.
+- Up to 86 km, its closed formulas apply. Temperature is the molecular-scale temperature, which exceeds the kinetic
+  temperature by up to 0.08 K between 80 and 86 km. Below sea level the equations of the first layer extend to -5 km,
+  the lower end of the standard's tables. Below -5 km the values are constant.
 - From 86 to 1000 km, cubics through the solution of its equations (`thermosphere.upper_air`) apply, with the kinetic
   temperature. At 86 km density and pressure jump by 1e-5. The standard contains no speed of sound above 86 km; here it
   is sqrt(gamma p / rho), so that a Mach number exists.

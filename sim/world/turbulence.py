@@ -16,18 +16,18 @@ The von Karman spectra, with x = 1.339 L w / V,
     S_u = sigma^2 2 L / (pi V) (1 + x^2)^(-5/6),   S_v = sigma^2 L / (pi V) (1 + 8/3 x^2) (1 + x^2)^(-11/6)
 
 are sums of Dryden fields of several scale lengths. (1 + x^2)^(-5/6) is a Stieltjes function of x^2, and hence a mixture
-of 1 / (k^2 + x^2) with positive weights. In both models the lateral spectrum follows from the longitudinal one by S_v =
-(S_u - w dS_u/dw) / 2. Six lengths approximate both spectra within 0.8 % up to x = 1500 (VON_KARMAN).
+of 1 / (k^2 + x^2) with positive weights. In both models the lateral spectrum follows from the longitudinal spectrum by
+S_v = (S_u - w dS_u/dw) / 2. Six lengths approximate both spectra within 0.8 % up to x = 1500 (VON_KARMAN).
 
 In the frame BODY the components are along the body axes x (u), y (v), z (w), as for an aircraft that flies in the
 direction of its nose. In the frame HORIZONTAL, intensities and lengths refer to the horizon, and spectra to the
-direction of flight e (relative to the air). Three independent components of unit variance, the longitudinal one along
-e, are transformed into north, east, down by the shortest rotation from up to e. They are then multiplied by sigma_u,
-sigma_v, sigma_w. The variances are those of the horizontal axes in any attitude. The length of a component is that of
-its direction: L_w by the square of its vertical part, L_u or L_v by the rest. A rising vehicle meets the longitudinal
-spectrum vertically and lateral spectra in both horizontal axes, all with the intensities of the horizontal axes. At
-high altitude these are equal, and both frames are equivalent except for roll and angle of attack. In vertical descent
-the rotation is not defined, and half a turn about north is used.
+direction of flight e (relative to the air). Three independent components of unit variance, the longitudinal component
+along e, are transformed into north, east, down by the shortest rotation from up to e. They are then multiplied by
+sigma_u, sigma_v, sigma_w. The variances are those of the horizontal axes in any attitude. The length of a component is
+that of its direction: L_w by the square of its vertical part, L_u or L_v by the rest. A rising vehicle meets the
+longitudinal spectrum vertically and lateral spectra in both horizontal axes, all with the intensities of the horizontal
+axes. At high altitude these are equal, and both frames are equivalent except for roll and angle of attack. In vertical
+descent the rotation is not defined, and half a turn about north is used.
 
 A spectrum over altitude is a fixed field of horizontal wind, the sum of SPECTRAL_LINES cosines of altitude with random
 phases. Handbooks (NASA-HDBK-1001) specify the small-scale wind on a rising launch vehicle in this form.

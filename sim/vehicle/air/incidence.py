@@ -73,7 +73,7 @@ def _angle(kind: int, mach: float, flow: Vector, lateral: float, first_roll: flo
 def table_coefficients(
     tables: IncidenceTables, pool: Array, j: int, mach: float, flow: Vector, work: IncidenceWork
 ) -> None:
-    """Write the coefficients of table `j` in the local flow (B, m/s) to `work`, with zeros for missing ones."""
+    """Write the coefficients of table `j` in the local flow (B, m/s) to `work`, with zeros for missing coefficients."""
     lateral = math.sqrt(flow[1] * flow[1] + flow[2] * flow[2])
     first_roll = float(tables.first_roll_rad[j])
     interpolate_grid(

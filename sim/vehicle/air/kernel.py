@@ -51,7 +51,7 @@ class Aero:
     yaw_chord_m: float
     span_m: float  # for roll moment and damping
     crossflow_station_m: float
-    earth_rates: int  # 1: damping acts on rates relative to the Earth, 0: on inertial ones
+    earth_rates: int  # 1: damping acts on rates relative to the Earth, 0: on inertial rates
     local_incidence: int  # 1: bending changes the angle of attack of the surfaces
     penetration: int  # 1: each part has the wind at its own position
     force_factor: float  # of CN_alpha and cross-flow drag

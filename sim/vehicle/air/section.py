@@ -129,7 +129,7 @@ class Coefficients(Section):
 
 
 class AeroSection(Section):
-    """The coefficients over Mach number and angle of attack; outside the table the end values hold."""
+    """The coefficients over Mach number and angle of attack; the end values apply outside the table."""
 
     table: Annotated[CsvTable, AERO_COLUMNS] = Field(
         default_factory=_nothing,

@@ -32,7 +32,7 @@ class Alike:
     - `numbers`: numbers of the engines in the stage.
     - `one`: one of these engines.
     - `faults`: faults of the engines.
-    - `body`: first one of several equal bodies.
+    - `body`: the first of several equal bodies.
     - `attachments_m`: stations of the core to which the booster of these engines is attached.
     """
 

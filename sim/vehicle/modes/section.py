@@ -22,7 +22,7 @@ from maxq.sim.vehicle.modes.tables import (
 
 
 def _ones(data: dict[str, Any]) -> tuple[float, ...]:
-    """Return the default of a factor per mode: a one for each damping ratio."""
+    """Return the default of a factor per mode: 1 for each damping ratio."""
     return (1.0,) * len(data.get("damping_ratio", ()))
 
 
@@ -68,7 +68,7 @@ class BendingSection(Section):
 
 
 class SpatialModesSection(Section):
-    """The coupled three-dimensional free-free modes, in addition to planar ones; engine locked, no slosh masses."""
+    """The coupled three-dimensional free-free modes, in addition to planar modes; engine locked, no slosh masses."""
 
     table: Annotated[CsvTable, SPATIAL_COLUMNS] = Field(
         description="one row per time (or total mass), mode and station: displacement phi along, rotation theta about "

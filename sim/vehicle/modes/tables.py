@@ -1,6 +1,6 @@
 """Mode tables: conversion from the long format to arrays, and checks of the shapes.
 
-The long format has one row per time, mode and station. Impossible mode shapes are rejected, and unlikely ones cause a
+The long format has one row per time, mode and station. Impossible mode shapes are rejected, and unlikely shapes cause a
 warning. The limits are derived from a good table (44 stations, 3 modes, 25 times, from a finite-element beam): slopes
 deviate from the derivatives of the shapes by at most 0.8 %, successive times agree to a modal assurance criterion of
 0.997 and in frequency to 2 %, and the mass forward gives 0.77 to 0.88 of the generalised masses, because it does not

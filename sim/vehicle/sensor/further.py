@@ -1,6 +1,6 @@
 """Sensors after the first gyro: rate gyros and an accelerometer, triads at their own stations on the bent body.
 
-A rate gyro is modelled as the first one (gyro.py). An accelerometer measures the specific force at its place, in its
+A rate gyro is modelled as the first gyro (gyro.py). An accelerometer measures the specific force at its place, in its
 own axes, which rotate with the bent body (docs/model.md, section 2):
 
     f = a_C + alpha x rho + w x (w x rho) + 2 w x d' + d'',    f_sensor = f - theta x f,

@@ -45,7 +45,7 @@ class Gyro:
 
 
 def pack_gyro(given: GyroSection | None, ideal: bool) -> Gyro:
-    """Return the parameters from the stage's section `gyro`; None, for a vehicle without a gyro, gives an ideal one."""
+    """Return the parameters from the stage's section `gyro`; None (no gyro in the vehicle) gives an ideal gyro."""
     if given is None or ideal:
         station_m = given.station_m if given else 0.0
         return Gyro(station_m, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1)

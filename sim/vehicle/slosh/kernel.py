@@ -408,7 +408,7 @@ class SloshRow(NamedTuple):
 def slosh_row(
     slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array, first: int, tension_N: Array
 ) -> SloshRow:
-    """Return the row of a pendulum; all values are nan for an empty tank, and for one that the stage does not have."""
+    """Return the row of a pendulum; all values are nan for an empty tank, and if the stage has no such pendulum."""
     if tank >= sizes.pendulums or bob_mass(properties, tank) <= 0.0:
         return SloshRow(math.nan, math.nan, math.nan, math.nan, math.nan)
     i = first

@@ -164,7 +164,7 @@ def _instants(
 ) -> Array:
     """Return the times (s) of a table, including those before and after each ring leaves the liquid.
 
-    There are more than `_INSTANTS` times, unless the table has a single one.
+    There are more than `_INSTANTS` times, unless the table has a single time.
     """
     if len(time_s) == 1:
         return time_s

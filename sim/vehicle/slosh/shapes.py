@@ -43,7 +43,7 @@ MEASURED_OVER_LAMINAR = 1.42
 FULLEST = 0.98  # share of the height of a top dome above which the length and the wave per swing are constant
 _FLATTEST = 0.25  # depth in radii below which the length over a flat bottom, which would be unbounded, is constant
 _SHALLOWEST = 0.01  # depth in radii at which the tables begin
-_DIGITS = 9  # number of digits: a linear-algebra library rounds the last ones differently on each processor
+_DIGITS = 9  # number of digits: a linear-algebra library rounds the last digits differently on each processor
 _RADIAL = 7  # number of polynomials
 
 
