@@ -46,7 +46,7 @@ class AttitudeError:
     - `measured`: attitude from the counted gyro increments.
     - `error_rad`: attitude error.
     - `theta_e_rad`: attitude error clamped at its limit, the input of the law.
-    - `rate_radps`: measured rate q_g, the increment divided by the sample period.
+    - `rate_radps`: measured rate q_g, the increment divided by the sample period, or a blend of several gyros.
     """
 
     measured: Strapdown

@@ -33,7 +33,7 @@ class ConverterState:
     """The state of the converter, per body axis x, y, z (roll, pitch, yaw), in B relative to I.
 
     - `counts`: pulses of the last sample.
-    - `total_counts`: their exact sum. Both stay 0 in an ideal converter.
+    - `total_counts`: exact sum of all pulses. In an ideal converter, both counts are 0.
     - `residual_rad`: angle not yet counted.
     - `increment_rad`: measured increment of the last sample.
     - `angle_rad`: sum of the measured increments, computed from `total_counts`, not by adding floats.

@@ -86,7 +86,7 @@ class FilterSchedule:
 
 
 def parameters_of(filter_: BendingFilter) -> Array:
-    """Return zero_hz, zero_zeta, pole_hz, pole_zeta of each quadratic section, then zero_hz, pole_hz of the others."""
+    """Return the parameters: zero_hz, zero_zeta, pole_hz, pole_zeta of quadratic sections, then zero_hz, pole_hz."""
     quadratic = [(q.zero_hz, q.zero_zeta, q.pole_hz, q.pole_zeta) for q in filter_.quadratic]
     first_order = [(f.zero_hz, f.pole_hz) for f in filter_.first_order]
     return np.array([value for section in (*quadratic, *first_order) for value in section], float)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal, get_args
 
 Law = Literal["pd", "pid", "load-relief", "incidence-relief", "drift", "pid-drift"]
-"""The modules of control/laws and design/laws."""
+"""The control laws (control/laws, design/laws)."""
 LAWS: tuple[Law, ...] = get_args(Law)
 
 GAINS: dict[Law, tuple[str, ...]] = {

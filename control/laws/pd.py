@@ -183,7 +183,7 @@ def tick_pd(law: PdRecord, pool: Array, state: PdState, given: LawInputs) -> flo
 
 @kernel
 def proportional_derivative(law: PdRecord, pool: Array, state: PdState, given: LawInputs, columns: int) -> float:
-    """Return -k_p theta_e - k_d q_g, rad; k_p and k_d are the first of an axis's `columns` in the gain table."""
+    """Return -k_p theta_e - k_d q_g, rad; k_p and k_d are the first two of an axis's `columns` in the gain table."""
     gimbal, at = given.gimbal, given.at
     k_p = look_up(pool, law.gains, at, columns * gimbal)
     k_d_s = look_up(pool, law.gains, at, columns * gimbal + 1)

@@ -463,7 +463,7 @@ def carried(rate: vec.Vector, moved: vec.Vector) -> vec.Vector:
 
 @routine
 def handed(sizes: Counts, pool: Array, at: int, row: int, rates: int, y: Array) -> float:
-    """Return a row of the matrix at `at` of the pool times the coordinates of all modes, or their quasi-velocities."""
+    """Return a row of the matrix at pool[at:] times the coordinates of all modes, or times their quasi-velocities."""
     total, column = 0.0, at + row * (sizes.pitch_modes + sizes.yaw_modes + sizes.spatial_modes)
     for k in range(3):
         first, modes = modes_in(sizes, k)

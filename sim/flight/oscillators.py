@@ -196,7 +196,7 @@ def _put_two(kept: Array, i: int, a: float, b: float, p: float, q: float) -> Non
 
 @routine
 def put_functions(kept: Array, i: int, n: int, h: float, scratch: int) -> None:
-    """Write the matrices at kept[i:] for the matrix D (n, n) at kept[i:], by their power series."""
+    """Write the other matrices of the block whose D (n, n) is at kept[i:], by their power series."""
     size = n * n
     for half in range(2):
         t = h if half == 0 else 0.5 * h

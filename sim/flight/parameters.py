@@ -73,7 +73,7 @@ class Parameters:
 
 @dataclass
 class Clock:
-    """The position of a flight between two calls of the kernel."""
+    """The progress of a flight between two calls of the kernel."""
 
     now_ns: int
     stage: int

@@ -69,7 +69,7 @@ _LISTED_BY = {
 
 
 class NameNote(UserWarning):
-    """A note that a built-in name is also that of a file of the user, which was not read."""
+    """A note that a built-in name is also the name of a user's file, which was not read."""
 
 
 def scenarios_folder() -> Path:

@@ -55,7 +55,7 @@ class AeroSurface(Section):
 
 
 class Coefficients(Section):
-    """A table of coefficients over Mach number and angle of attack; all tables and the slopes add up."""
+    """A table of coefficients over Mach number and angle of attack; all tables and the slopes are summed."""
 
     name: str = optional("name of the table", "")
     table: Annotated[CsvTable, COEFFICIENT_COLUMNS] = Field(

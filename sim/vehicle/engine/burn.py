@@ -116,7 +116,8 @@ def leaving(stages: Sequence[Stage], n: int) -> tuple[Booster, ...]:
 class EngineFault:
     """A fault of engines, with its times on the stage clock.
 
-    The loss of thrust is `fault.loss`, immediate and complete if absent; a tail-off gives the remaining share instead.
+    The engine immediately loses the share `fault.loss` of its thrust, by default all of it. A tail-off specifies the
+    remaining share over time instead.
     """
 
     fault: Fault
@@ -128,7 +129,7 @@ class EngineFault:
         return self.fault.engine in (None, number)
 
     def left(self, time_s: float, before: bool) -> float:
-        """Return the remaining share of thrust and flow at an instant, or just before it."""
+        """Return the remaining share of thrust and flow at an instant, or with `before` immediately before it."""
         on = self.at_s < time_s <= self.until_s if before else self.at_s <= time_s < self.until_s
         if not on:
             return 1.0
@@ -344,7 +345,7 @@ def table_clock(body: Body, faults: Sequence[EngineFault], first: int = 0) -> Ta
 
 
 def _share(engine: EngineSection, number: int, faults: Sequence[EngineFault], time_s: float, before: bool) -> float:
-    """Return throttle times faults of an engine at an instant, or just before it."""
+    """Return throttle times faults of an engine at an instant, or with `before` immediately before it."""
     out = 1.0
     if engine.throttle is not None:
         out = float(np.interp(time_s, engine.throttle["time_s"], engine.throttle["throttle"]))

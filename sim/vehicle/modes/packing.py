@@ -98,7 +98,9 @@ def _on(core: ModeShapes, attachments_m: tuple[float, ...]) -> ModeShapes | _Rig
 
 @lru_cache(maxsize=16)  # a campaign packs the same modes thousands of times; a table has two planes, or one for both
 def mode_values(table: ModeTable, shape: tuple[int, int], at: Places) -> Array:
-    """Return the values of a plane over the table's times, (T, rows times lanes), where `shape` is (rows, lanes)."""
+    """Return the schedule columns of a plane's modes over the table's times, (T, rows times lanes).
+
+    `shape`: rows and lanes."""
     (rows, padded_modes), n, shapes = shape, table.modes, ModeShapes(table)
     mounts, gyro_m, hinges_m, surfaces_m, sensors_m, carried = at
     of_mounts = [(_on(shapes, mount.attachments_m), mount.station_m) for mount in mounts]
@@ -198,7 +200,7 @@ def _spatial_on(
 
 @lru_cache(maxsize=16)
 def spatial_values(table: SpatialModeTable, at: Places, gyration_m2: float) -> Array:
-    """Return the values of the spatial modes over the table's times, (T, rows times M).
+    """Return the schedule columns of the spatial modes over the table's times, (T, rows times M).
 
     `gyration_m2`: roll inertia per mass, for tables without a distribution of the roll inertia.
     """

@@ -306,7 +306,7 @@ def exchange_loads(
 def _bending_at_tank(
     sizes: Counts, tank: int, properties: Array, modes: PlanarMotion
 ) -> tuple[float, float, float, float, float, float]:
-    """Return the displacement of a hinge by bending, its rate in B, and its quasi-velocity, along y and z each."""
+    """Return the displacement of a hinge by bending, its rate in B, and its quasi-velocity, each along y and z."""
     in_pitch, in_yaw = (
         sch.mode_column(sizes, sch.PITCH, sch.MODE_FIRST + tank),
         sch.mode_column(sizes, sch.YAW, sch.MODE_FIRST + tank),
