@@ -4,8 +4,8 @@
 
 A command is the common angle of all gimballed engines that would produce the required moment. In pitch and yaw all
 engines deflect alike; in roll each engine deflects in the direction that rolls the vehicle. Let B (3, channels) be the
-moments per radian of each channel, D = diag(sums of |B| over the channels of each axis), and W = engines / limit^2 the
-weights of the channels. Then
+moments per radian of each channel and D = diag(sums of |B| over the channels of each axis). The weights of the channels
+are W = engines / limit^2. Then
 
     A = W^-1 B' (B W^-1 B')^-1 D
 

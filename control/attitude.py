@@ -9,8 +9,9 @@ The error is computed from the counted gyro increments and the commanded rates o
 
 Rotations about several axes do not commute, so `rate-integral` is an attitude error only while the vehicle turns about
 one axis. `quaternion` is valid at any attitude, for errors below 180 deg. A large roll error, as in a roll manoeuvre,
-does not rotate the axes about which the gimbals correct the tilt, whereas it would rotate the rotation vector by half
-of the roll error. For small errors about one axis the two errors, and hence the linear loops, are equal.
+does not rotate the axes about which the gimbals correct the tilt. With the rotation vector as the error, these axes
+would be rotated by half of the roll error. For small errors about one axis the two errors, and hence the linear loops,
+are equal.
 """
 
 from __future__ import annotations

@@ -5,12 +5,12 @@ The direction of thrust follows the linear tangent law in a frame fixed in I,
     u(t) = unit(x + (a + b s) z + (c + d s) n),    s = t - t_0,
 
 which is optimal in uniform gravity if the position along x is free (Bryson & Ho, Applied Optimal Control, 2.7 and 4.6).
-n is the normal of the orbital plane; z points upwards and x along the motion, at the predicted end of the burn. Once
-per cycle, the four numbers and the time to go are computed from the navigated position and velocity, by Newton's method
-on a numerical prediction of the burn. The conditions at its end are the radius, speed and vertical speed of the target
-apsis, and zero position and speed across the plane. Gravitation is that of a flattened Earth (J2). The thrust is
-constant, with the acceleration measured over the last cycle. In the last seconds, when the position can no longer be
-controlled, the numbers are no longer updated. The engine is cut off when the orbit's energy is reached.
+The vector n is the normal of the orbital plane. At the predicted end of the burn, z points upwards and x along the
+motion. Once per cycle, the four numbers and the time to go are computed from the navigated position and velocity, by
+Newton's method on a numerical prediction of the burn. The conditions at its end are the radius, speed and vertical
+speed of the target apsis, and zero position and speed across the plane. Gravitation is that of a flattened Earth (J2).
+The thrust is constant, with the acceleration measured over the last cycle. In the last seconds, when the position can
+no longer be controlled, the numbers are no longer updated. The engine is cut off when the orbit's energy is reached.
 
 The caller supplies the navigated position and velocity (`OrbitGuidanceState`); the simulator supplies its own, without
 error.

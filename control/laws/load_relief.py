@@ -3,9 +3,9 @@
     delta = -k_p theta_e - k_d q_g + k_a a_f,      a_f = a_f + (1 - exp(-2 pi f T)) (a - a_f)
 
 Wind from below accelerates the body upwards (a_z < 0). A positive k_a then lowers the nose into the wind and reduces
-the load q alpha, at the cost of drift and of margin at low frequency (Greensite, Analysis and Design of Space Vehicle
-Flight Control Systems, NASA CR-820, 1967, ch. 3). In yaw the sign of a is reversed, because a positive gimbal angle
-produces a force to -y. The lag of the accelerometer attenuates bending. The linear model is design/laws/load_relief.py.
+the load q alpha. The cost is drift, and margin at low frequency (Greensite, Analysis and Design of Space Vehicle Flight
+Control Systems, NASA CR-820, 1967, ch. 3). In yaw the sign of a is reversed, because a positive gimbal angle produces a
+force to -y. The lag of the accelerometer attenuates bending. The linear model is design/laws/load_relief.py.
 
 The law `incidence-relief` feeds back an estimate of the angle of attack:
 

@@ -237,9 +237,12 @@ def _block_stage(
 ) -> None:
     """Write the states of one block at stage 2, 3 or 4, or at the end of the step (5), to `out`.
 
-    `k` is the derivative at the previous stage. `moved[at:]` contains for the block: the derivative at the start, the
-    motion since the start at the previous stage, the motion at the end under the constant force, r, and the sum of r
-    over the middle stages.
+    `k` is the derivative at the previous stage. `moved[at:]` contains five vectors of the block:
+
+    - the derivative at the start;
+    - the motion since the start at the previous stage;
+    - the motion at the end under the constant force;
+    - r, and its sum over the middle stages.
     """
     first, stride, n, matrices = int(kept[block]), int(kept[block + 1]), int(kept[block + 2]), int(kept[block + 3])
     if n == 2:  # with literal numbers the compiler unrolls the loops
@@ -373,7 +376,7 @@ def evaluate_between(
 ) -> None:
     """Write state and derivative `elapsed_ns` after the start of the last step to `space.between`.
 
-    The state is that of the cubic of the method (Hairer, Norsett & Wanner I, section II.6), which has the states of
+    The state is that of the cubic of the method (Hairer, Norsett & Wanner I, section II.6). The cubic has the states of
     both ends and the derivatives of the first and the last stage.
     """
     n, h, x = states.state_size(counts(p.vehicle.sizes)), 1e-9 * step_ns, elapsed_ns / step_ns

@@ -221,7 +221,7 @@ def source_of(tree: TomlTable, path: KeyPath) -> Source:
             break
         source = at.sources.get(part, at.source)
         try:
-            at = at[part]  # the validator's path: str in tables, int in lists
+            at = at[part]  # type: ignore[index]  # the validator's path: str in tables, int in lists
         except (KeyError, IndexError, TypeError):
             break
     return source

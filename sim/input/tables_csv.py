@@ -85,7 +85,7 @@ class CsvTable:
             self.columns[name].tobytes() == other.columns[name].tobytes() for name in self.columns
         )
 
-    __hash__ = None  # arrays have no fast hash, and none is needed
+    __hash__ = None  # type: ignore[assignment]  # arrays have no fast hash, and none is needed
 
     def refusal(
         self, problem: str, allowed: str = "", column: str = "", row: int = -1, *, value: Any = NOTHING, at: Path = ()

@@ -8,8 +8,8 @@
 The first `N_FIXED` entries are the same for every vehicle. The bending and slosh states of the vehicle follow. Position
 and velocity are those of the *core* CG (the vehicle without its sloshing masses, with the engine at rest), in the
 inertial frame. The modal rates are quasi-velocities that include the rotation of the bending plane with the roll rate
-p: nu_pitch = d(eta)/dt + p xi, nu_yaw = d(xi)/dt - p eta. The states of a pendulum are the unit vector u_B from its
-hinge to its bob, and kappa_B, the *inertial* derivative of that vector in body components (docs/model.md, section 1).
+p: nu_pitch = d(eta)/dt + p xi, nu_yaw = d(xi)/dt - p eta. The states of a pendulum are two vectors in body components
+(docs/model.md, section 1): the unit vector u_B from its hinge to its bob, and its *inertial* derivative kappa_B.
 """
 
 from __future__ import annotations

@@ -187,7 +187,7 @@ def us1976_about(altitude_m: float, temperature_K: float) -> tuple[float, float,
     """Return the arguments of `us1976_nearby` at an altitude with this temperature from `us1976`.
 
     These are geopotential metres per metre, the curvature of this relation [1/m], the lapse rate [K/m], and the
-    distances [m] to the ends of the layer, down (negative) and up.
+    distances [m] to the layer's ends, down (negative) and up.
     """
     h = max(altitude_m, LOWEST_m)
     inverse = 1.0 / (GEOPOTENTIAL_RADIUS_m + h)

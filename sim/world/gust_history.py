@@ -1,9 +1,9 @@
 """Turbulence aft of the nose: the frozen field through which the nose has flown (Taylor's hypothesis).
 
-The nose meets the turbulence first. For flight along the body axis, the gust that it met at the travelled distance s -
-x is now x metres aft of it, where s is the integral of the airspeed. The history contains the gusts of the last ticks
-over the vehicle's length. Ticks closer together than a sixtieth of this length share an entry. Before the first tick
-the field is the first gust everywhere.
+The nose meets the turbulence first. Let s be the integral of the airspeed. For flight along the body axis, the gust met
+at the distance s - x is now x metres aft of the nose. The history contains the gusts of the last ticks over the
+vehicle's length. Ticks closer together than a sixtieth of this length share an entry. Before the first tick the field
+is the first gust everywhere.
 """
 
 from __future__ import annotations

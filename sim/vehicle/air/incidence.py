@@ -1,10 +1,10 @@
 """Aerodynamic forces and moments by coefficients over Mach number and angle of attack.
 
 The coefficients belong to the whole vehicle or to its parts. Those of a table refer to body axes (CX, CY, CZ and Cl,
-Cm, Cn about x, y, z) or to aeroballistic axes: x, z' in the plane of total angle of attack, on the side to which the
-vehicle moves through the air, and y' perpendicular to the plane. Lift and drag (-CZ and -CX) are rotated by the angle
-of attack in that plane. The loads of all tables are summed, each with the flow at its own station. Derivatives with
-respect to the body rates are in body axes (docs/model.md, section 6).
+Cm, Cn about x, y, z) or to aeroballistic axes. The latter are x, z' in the plane of total angle of attack, on the side
+to which the vehicle moves through the air, and y' perpendicular to the plane. Lift and drag (-CZ and -CX) are rotated
+by the angle of attack in that plane. The loads of all tables are summed, each with the flow at its own station.
+Derivatives with respect to the body rates are in body axes (docs/model.md, section 6).
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ lifting surface is -CN_alpha |U| W_k, the cross-flow drag is -C_c |(V, W)| W, an
 small angles of attack these are q S CN_alpha alpha and q S CA. At 90 deg only the cross-flow drag remains, and no term
 is undefined at rest (docs/model.md, section 6). W_k is the local lateral velocity, which includes the slope and the
 rate of bending at the surface. Tables over Mach number and angle of attack may be used in addition to the slopes or
-instead of them (incidence.py).
+instead of them (`incidence.py`).
 """
 
 from __future__ import annotations

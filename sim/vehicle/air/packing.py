@@ -37,11 +37,8 @@ _AXES = {
     "beta_deg": incidence.BETA,
 }
 _ROLE_OF = {name: (role, 1.0) for role, name in enumerate(ROLES)} | {
-    "CA": (incidence.CX, -1.0),
-    "CN": (incidence.CZ, -1.0),
-    "CD": (incidence.CX, -1.0),
-    "CL": (incidence.CZ, -1.0),
-}  # a table: role and sign of each column
+    "CA": (incidence.CX, -1.0), "CN": (incidence.CZ, -1.0), "CD": (incidence.CX, -1.0), "CL": (incidence.CZ, -1.0),
+}  # fmt: skip  # a table: role and sign of each column
 _EXTENSIONS: dict[str, Extension] = {"total_deg": "mirror", "roll_deg": "periodic"}
 _ACROSS = (incidence.CY, incidence.CZ, incidence.CM, incidence.CN)
 
@@ -119,7 +116,7 @@ def _incidence_tables(aero: schema.AeroSection, pool: Pool) -> IncidenceTables:
 
 @cached_by_identity
 def _fitted(table: CsvTable, aeroballistic: bool, method: str) -> tuple[Grid, tuple[str, ...]]:
-    """Return the grid of a table for incidence.py, with angles in rad, and the names of its columns."""
+    """Return the grid of a table for `incidence.py`, with angles in rad, and the names of its columns."""
     given = grid_table(table)
     missing = 3 - len(given.axes)
     breaks = [b if name == "mach" else np.radians(b) for name, b in zip(given.axes, given.breaks, strict=True)]

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 def pack_allocation(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) -> Allocation:
     """Return the allocation of a stage; a single group receives the law's commands unchanged.
 
-    Moments are those of the largest nominal vacuum thrusts about the CG at half of the burn, because the shares of a
-    cluster in each axis depend little on other quantities. The allocation accounts for a fault `reallocate_after_s`
-    after it occurs.
+    Moments are those of the largest nominal vacuum thrusts about the CG at half of the burn. The shares of a cluster in
+    each axis depend only slightly on the instant. The allocation accounts for a fault `reallocate_after_s` after it
+    occurs.
     """
     if len(stage.engine_groups) == 1:
         return ONE_GROUP

@@ -35,7 +35,7 @@ class Engine:
     - `turned_*_rad`: cant plus misalignment, added to the gimbal angles.
     - `rest_*`: unit vector of the thrust with cant, without deflection and misalignment, B.
     - `lever_*_m`: vector from the body axis at the gimbal's station to the engine's CG at rest (aft, y, z), for the
-      modes. y and z are used for canted engines only; without cant they are of second order.
+      modes. Its y and z are used for canted engines only; without cant they are of second order.
     - `exit_*`: centre and second moments of the nozzle exits about it, for jet damping.
     """
 

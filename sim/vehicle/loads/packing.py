@@ -124,8 +124,8 @@ class _Part(NamedTuple):
 class _Body:
     """The line mass of the core at T times: uniform dry parts, point masses, and liquids between surface and bottom.
 
-    The sloshing mass is not part of the core. The rest of a tank's liquid is spread over its column with a density that
-    is linear in the station, so that mass and CG are those of the column without its bobs.
+    The sloshing mass is not part of the core. The rest of a tank's liquid is spread over its column. The density is
+    linear in the station, so that mass and CG are those of the column without its bobs.
     """
 
     def __init__(

@@ -5,7 +5,7 @@
 A vehicle file may name such a file in place of a table of spatial modes. The modes are then those of one mass state,
 constant over time. The reader reads real eigenvectors (OUGV1, BOUGV1) and the summary of eigenvalues (LAMA) with their
 generalised masses. Positions and lumped masses (CONM2) come from the bulk data: GEOM1 and GEOM2 in the op2, the echo in
-the f06, or a .bdf, .dat or .nas file of the same name in the same folder. maxq has its own reader because pyNastran 1.4
+the f06, or a .bdf, .dat or .nas file of the same name in the same folder. This reader is needed because pyNastran 1.4
 requires a NumPy version below 2 and does not read f06 files. The reader is tested with files written by pyNastran.
 
 The model's basic system must have x aft from the nose, y right and z up, in metres and kilograms. Grid points and their
@@ -295,10 +295,10 @@ def spatial_columns(modes: Mapping[float, NastranModes], count: int = MAX_MODES)
     """Return the columns of a table of spatial modes: the `count` lowest modes at each time (s).
 
     `mass_forward_kg` is that of the CONM2 cards. It is zero if these cards do not represent the whole mass at every
-    time: without cards, or if the shapes weighted with them give less than half or more than twice a generalised mass.
-    In that case the axial load does not soften the modes, and reading the table gives a warning. Otherwise `mass_kg`
-    (and `roll_inertia_kgm2`) are lumped at the stations. Raises the refusal of the schema if fewer than two grid points
-    are on the axis.
+    time. This is the case without cards, or if the shapes weighted with them give less than half or more than twice a
+    generalised mass. The axial load then does not soften the modes, and reading the table gives a warning. Otherwise
+    `mass_kg` (and `roll_inertia_kgm2`) are lumped at the stations. Raises the refusal of the schema if fewer than two
+    grid points are on the axis.
     """
     out: dict[str, list[float]] = {}
     states = {time_s: (given, _on_axis(given)) for time_s, given in sorted(modes.items())}
@@ -370,8 +370,8 @@ def _explains(given: NastranModes, on_axis: NDArray[np.int64], mass: Floats, rol
 def _forward(mass: Floats) -> Floats:
     """Return the mass forward of each station, including half of the station's own mass.
 
-    At the last station it is the whole mass, and at the first station the part of its mass in excess of half of the
-    second station's mass, as at the end of a beam.
+    At the last station it is the whole mass. At the first station it is the station's mass minus half of the second
+    station's, and at least zero.
     """
     forward = np.cumsum(mass) - 0.5 * mass
     forward[0], forward[-1] = max(mass[0] - 0.5 * mass[1], 0.0), mass.sum()

@@ -134,9 +134,9 @@ def _softening(table: ModeTable, shapes: ModeShapes, mounts: tuple[Mount, ...]) 
 def _softening_up_to(table: ModeTable, shapes: ModeShapes, mount: Mount) -> Array:
     """Return the reduction of the generalised stiffness by the axial load, per unit of axial acceleration, kg/m.
 
-    At each time, (times, modes, modes), it is the integral of m_forward phi_i' phi_j' dx up to the gimbal, minus the
-    contribution of the engine aft of it, which is in tension (docs/model.md, section 4). The axial force at a station
-    is the mass forward of it times the acceleration.
+    At each time, (times, modes, modes), it is the integral of m_forward phi_i' phi_j' dx up to the gimbal. The
+    contribution of the engine aft of the gimbal, which is in tension, is subtracted (docs/model.md, section 4). The
+    axial force at a station is the mass forward of it times the acceleration.
     """
     x, gimbal_m = table.station_m, mount.attachments_m[0] if mount.attachments_m else mount.station_m
     points, weights = gauss(np.unique(np.append(x[x < gimbal_m], gimbal_m)))

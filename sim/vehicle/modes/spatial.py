@@ -1,11 +1,11 @@
 """Spatial modes: coupled three-dimensional free-free modes of the vehicle, engine locked and sloshing masses removed.
 
 Mode i displaces the point of the body axis at station x by the vector Phi_i(x) eta_i and rotates its section by
-Theta_i(x) eta_i, along and about all three axes of B. Hence bending in both planes, torsion and axial motion may be
-coupled. A planar mode of planar.py is the special case Phi = (0, 0, phi), Theta = (0, slope, 0) in pitch and Phi = (0,
-phi, 0), Theta = (0, 0, -slope) in yaw. The quasi-velocities nu = d(eta)/dt + p A eta include the rotation with the roll
-rate. A contains the share of each mode in the shape of another mode rotated by 90 deg about x (docs/model.md, section
-4).
+Theta_i(x) eta_i. Both vectors have components in all three axes of B. Hence bending in both planes, torsion and axial
+motion may be coupled. A planar mode of planar.py is the special case Phi = (0, 0, phi), Theta = (0, slope, 0) in pitch
+and Phi = (0, phi, 0), Theta = (0, 0, -slope) in yaw. The quasi-velocities nu = d(eta)/dt + p A eta include the rotation
+with the roll rate. A contains the share of each mode in the shape of another mode rotated by 90 deg about x
+(docs/model.md, section 4).
 
 A *place* is a station at which loads or sensors act (schedule.py). A load is six numbers: force (N) and moment (N m) in
 B on the section of its place. A motion is also six numbers: displacement and rotation.

@@ -1,10 +1,10 @@
 """Mode tables: conversion from the long format to arrays, and checks of the shapes.
 
 The long format has one row per time, mode and station. Impossible mode shapes are rejected, and unlikely shapes cause a
-warning. The limits are derived from a good table (44 stations, 3 modes, 25 times, from a finite-element beam): slopes
-deviate from the derivatives of the shapes by at most 0.8 %, successive times agree to a modal assurance criterion of
-0.997 and in frequency to 2 %, and the mass forward gives 0.77 to 0.88 of the generalised masses, because it does not
-include the engine's inertia.
+warning. The limits are derived from a good table (44 stations, 3 modes, 25 times, from a finite-element beam). In this
+table, slopes deviate from the derivatives of the shapes by at most 0.8 %. Successive times agree to a modal assurance
+criterion of 0.997 and in frequency to 2 %. The mass forward gives 0.77 to 0.88 of the generalised masses, because it
+does not include the engine's inertia.
 """
 
 from __future__ import annotations
@@ -253,8 +253,11 @@ def _arrays(
 def refuse_impossible(table: CsvTable, modes: ModeTable | SpatialModeTable, at: Path) -> None:
     """Raise the refusal of the schema for impossible shapes.
 
-    These are slopes with the opposite sign of the shapes' derivatives, shapes that change number or sign between times,
-    and shapes that are far from orthonormal with the masses at the stations.
+    These are:
+
+    - slopes with the opposite sign of the shapes' derivatives;
+    - shapes that change number or sign between times;
+    - shapes that are far from orthonormal with the masses at the stations.
     """
     slope, _ = _slopes(modes)
     if (slope < 0.0).any():

@@ -5,10 +5,10 @@ own axes, which rotate with the bent body (docs/model.md, section 2):
 
     f = a_C + alpha x rho + w x (w x rho) + 2 w x d' + d'',    f_sensor = f - theta x f,
 
-where a_C is the specific force of the body at the core CG, rho the vector from this CG to the displaced sensor, d its
-displacement by bending and theta its rotation. Engines and liquid act through a_C, alpha and the modal accelerations,
-which include their reactions. Both kinds of sensor have errors and second-order dynamics, and the computer counts the
-integral of their output over a sample.
+where a_C is the specific force of the body at the core CG. The vector rho leads from this CG to the displaced sensor; d
+is the sensor's displacement by bending, and theta its rotation. Engines and liquid act through a_C, alpha and the modal
+accelerations, which include their reactions. Both kinds of sensor have errors and second-order dynamics, and the
+computer counts the integral of their output over a sample.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The rate gyro of three axes: errors, second-order dynamics (Lee, Ahn & Roh eq. 29), and the angle to be counted.
 
-The gyro is mounted on the bent body and measures the local angular rate: q + sum(slope nu_pitch) in pitch and r -
-sum(slope nu_yaw) in yaw (docs/model.md, section 2).
+The gyro is mounted on the bent body and measures the local angular rate (docs/model.md, section 2). It is q + sum(slope
+nu_pitch) in pitch and r - sum(slope nu_yaw) in yaw.
 """
 
 from __future__ import annotations
