@@ -5,8 +5,8 @@
     several groups of engines: pitch, yaw and roll -> allocation -> limit -> DAC, for each group (allocation.py)
 
 A law is a module of control/laws with a parameter record, a state record, a function that starts the state, and a tick
-for each gimbal axis. Its inputs are defined in attitude.py. The computer contains the two records and calls the two
-functions. External flight code replaces the law, the roll control and the roll command (external.py).
+for each gimbal axis. Its inputs are defined in attitude.py. The computer contains the records of the laws and calls
+their functions. External flight code replaces the law, the roll control and the roll command (external.py).
 
 The computer contains neither the plant nor its own delay. It returns the command at once; the caller applies the
 command `delay_ns` later and holds it.

@@ -1,7 +1,7 @@
 """The inputs of external flight code in a held flight: those of a free flight plus the deviations in the held flight.
 
-In a held flight, the vehicle does not move along its trajectory, so its clock, mass, speed, attitude and commands would
-not be those of a flight. The code therefore receives the recorded inputs of a flight, plus the gyro pulses and the
+In a held flight, the vehicle does not move along its trajectory. Flight code could recognise the test from the clock,
+mass, speed, attitude and commands. It therefore receives the recorded inputs of a flight, plus the gyro pulses and the
 readings of the further sensors in the held flight. Without deviations, these equal the inputs of the flight bit for
 bit. With deviations, angles, attitude and attitude error follow from the sum of the pulses as in attitude.py.
 """

@@ -135,7 +135,7 @@ class Compilation:
             self.report()
 
     def translated(self, function: Any = None) -> None:
-        """Count `function`, or without an argument all functions, of the part in compilation as translated.
+        """Count `function` as translated in the part being compiled; without an argument, count all functions.
 
         The functions that remain at the end of a part are not called, or were translated with another part.
         """

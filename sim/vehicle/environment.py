@@ -174,7 +174,7 @@ def pad_acceleration(earth: Earth, rotation: Matrix, gravity: Vector, y: Array) 
 def rail_acceleration(earth: Earth, rotation: Matrix, pad: Vector, axial_mps2: float, y: Array) -> Vector:
     """Return the specific force of a vehicle on its launch rail, in B, m/s2.
 
-    The vehicle moves along its axis, which rotates with the Earth, without friction. `pad`: specific force of the pad.
+    The vehicle moves without friction along its axis, which rotates with the Earth. `pad`: specific force of the pad.
     `axial_mps2`: axial force of thrust and air per mass.
     """
     spin = rotate_back(rotation, (0.0, 0.0, earth.rate_radps))

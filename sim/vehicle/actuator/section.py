@@ -60,7 +60,7 @@ class YawActuator(Section):
 
 
 class ActuatorSection(ActuatorAxis):
-    """The actuators of both axes, equal unless `yaw` differs: of all groups of engines, or in a list by group."""
+    """The actuators of both axes, equal unless `yaw` differs; for all groups of engines, or in a list by group."""
 
     group: ChannelPart | None = optional("in a list: name of the group of engines that it moves")
     bias_deg: Pair = optional("constant error of the angle, pitch and yaw, deg", (0.0, 0.0))

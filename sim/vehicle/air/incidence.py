@@ -137,7 +137,7 @@ def static_loads(
 def rate_loads(rate: Vector, lengths: Vector, work: IncidenceWork) -> tuple[Vector, Vector]:
     """Return the lateral force (B, m2/s) and the moment (B, m3/s) due to the body rates, from `work`.
 
-    Both are divided by air density times speed times reference area over four.
+    The loads are these results times air density, speed and reference area, divided by four.
     """
     p, q, r = lengths[0] * rate[0], lengths[1] * rate[1], lengths[2] * rate[2]
     c = work.coefficient

@@ -42,7 +42,10 @@ _ON_AXIS_M = 1e-3
 
 @dataclass(frozen=True)
 class NastranModes:
-    """M modes at G grid points, in the model's basic system: x aft, y right, z up; m, rad per unit of the mode, kg."""
+    """M modes at G grid points, in the model's basic system: x aft, y right, z up.
+
+    Lengths are in m and masses in kg. Shapes are in m and rad per unit of the mode.
+    """
 
     frequency_hz: Floats  # (M,)
     generalized_mass_kg: Floats  # (M,)
