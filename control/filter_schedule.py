@@ -81,7 +81,7 @@ class FilterSchedule:
         return filter_of(self.table(at), *self.structure) if self.moves else self.filters[0]
 
     def slope(self, at: float) -> Array:
-        """Return the derivatives of the parameters by the scheduling variable; right derivatives at breakpoints."""
+        """Return the derivatives of the parameters with respect to the variable; right derivatives at breakpoints."""
         return self.table.slope(at) if self.moves else 0.0 * parameters_of(self.filters[0])
 
 
