@@ -3,15 +3,17 @@
     u = A v,   v = (pitch, yaw, roll),   u = pitch and yaw angle of each group
 
 A command is the common angle of all gimballed engines that would produce the required moment. In pitch and yaw all
-engines deflect alike; in roll each engine deflects in the direction that turns the vehicle. Let B (3, channels) be the
-moments per radian of each channel, D = diag(sums of |B| over the channels of each axis), and W = engines / limit^2 the
-weights of the channels. Then
+engines deflect alike; in roll each engine deflects in the direction that rolls the vehicle. Let B (3, channels) be the
+moments per radian of each channel and D = diag(sums of |B| over the channels of each axis). The weights of the channels
+are W = engines / limit^2. Then
 
-    A = W^-1 B' (B W^-1 B')^-1 D,   the pseudo-inverse: for B u = D v the least sum over engines of (angle / limit)^2
+    A = W^-1 B' (B W^-1 B')^-1 D
 
-A is a stepwise table over time. It changes when the computer learns of the loss of an engine. D keeps its value, so
-that the loop keeps its gain as long as no angle exceeds its limit. Pitch and yaw have priority. The remainder of each
-channel's limit bounds roll by one factor for all channels, so that roll disturbs no other axis.
+is the pseudo-inverse, which minimises the sum over engines of (angle / limit)^2 subject to B u = D v.
+
+A is a stepwise table over time. It changes when the computer receives the loss of an engine. D keeps its value, so that
+the loop keeps its gain as long as no angle exceeds its limit. Pitch and yaw have priority. The margin that they leave
+to each channel's limit bounds the roll command by one factor for all channels, so that roll disturbs no other axis.
 """
 
 from __future__ import annotations
@@ -28,16 +30,16 @@ from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import NO_TABLE, TableRef, find_interval, interpolate
 
-_PARALLEL = 1e-9  # least determinant, relative to that of perpendicular axes, of axes that can be controlled
+_PARALLEL = 1e-9  # least determinant of controllable axes, relative to that of perpendicular axes
 
 
 @dataclass(frozen=True)
 class Allocation:
-    """The parameters of the allocation to `groups` of engines. A single group receives the law's commands unchanged.
+    """The parameters of the allocation to `groups` groups of engines; a single group receives the law's commands.
 
-    `matrix`: (2 groups x 3) columns, row by row.
-
-    Roll by gimbals commands -k_p times the roll error and -k_d_s times the roll rate, within the limit.
+    - `matrix`: place of A, (2 groups x 3) columns, row by row.
+    - `k_p`, `k_d_s`: gains of the roll command, -k_p times the roll error and -k_d_s times the roll rate.
+    - `roll_limit_rad`: limit of the roll command.
     """
 
     groups: int
@@ -52,7 +54,7 @@ class Allocation:
 class AllocationState:
     """The state of the allocation.
 
-    `roll_rad`: roll command. `angle_rad`: angles issued at the last tick, pitch and yaw of each group.
+    `roll_rad`: roll command. `angle_rad`: angles of the last tick, pitch and yaw of each group.
     """
 
     roll_rad: float
@@ -63,10 +65,10 @@ ONE_GROUP = Allocation(1, NO_TABLE, 0.0, 0.0, 0.0, np.zeros(2 * MAX_ENGINES))
 
 
 def pseudo_inverse(effect: Array, scales: Sequence[float], authority: Array) -> Array:
-    """Return A (channels, 3) from `effect` B (3, channels), W^-1/2 of the channels and the diagonal of D (3,).
+    """Return A (channels, 3) from `effect` B (3, channels), `scales` W^-1/2 (channels,) and `authority` diag D (3,).
 
-    An axis that the channels cannot turn, or cannot turn independently of another axis, gets a column of zeros. No
-    linear-algebra library is used, because its rounding depends on the processor.
+    The column of an axis is zero if the channels cannot turn the vehicle about it, or not independently of another
+    axis. No linear-algebra library is used, because its rounding depends on the processor.
     """
     squares = np.array(scales, float) ** 2
     out = np.zeros((effect.shape[1], 3))
@@ -83,7 +85,7 @@ def pseudo_inverse(effect: Array, scales: Sequence[float], authority: Array) -> 
 
 
 def _independent(effect: Array, squares: Array) -> list[int]:
-    """Return the axes that can be turned independently, pitch and yaw before roll."""
+    """Return the axes that the channels can turn independently, pitch and yaw before roll."""
     found: list[Array] = []
     axes: list[int] = []
     for axis in range(3):
@@ -102,7 +104,7 @@ def _independent(effect: Array, squares: Array) -> list[int]:
 
 
 def _solved(matrix: Array, right: Array) -> Array:
-    """Solve a positive definite system of at most three equations."""
+    """Return the solution of a positive definite system of at most three equations."""
     m, x = matrix.astype(float).copy(), right.astype(float).copy()
     for k in range(len(m)):
         for i in range(len(m)):
@@ -114,7 +116,7 @@ def _solved(matrix: Array, right: Array) -> Array:
 
 @kernel
 def roll_command(a: Allocation, phi_e_rad: float, p_radps: float) -> float:
-    """Return the roll command to the gimbals, rad."""
+    """Return the roll command for the gimbals, rad."""
     return min(max(-a.k_p * phi_e_rad - a.k_d_s * p_radps, -a.roll_limit_rad), a.roll_limit_rad)
 
 
@@ -131,8 +133,8 @@ def allocate(
 ) -> int:
     """Write the angles of all channels into `state.angle_rad`.
 
-    Returns 1 where pitch and yaw alone exceed a limit and are cut. A channel's limit is the lower of `limit_rad` and
-    the limit of its actuator.
+    Returns 1 if the pitch and yaw commands alone exceed a limit and are clipped, otherwise 0. The limit of a channel is
+    the lower of `limit_rad` and the limit of its actuator.
     """
     state.roll_rad = roll_rad
     k = find_interval(pool, a.matrix, time_s)

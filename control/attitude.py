@@ -5,12 +5,13 @@ The error is computed from the counted gyro increments and the commanded rates o
 | `attitude` | theta_e |
 |---|---|
 | `quaternion` | from the commanded to the measured attitude: the roll, and the tilt of x about y and z of the body |
-| `rate-integral` | per body axis the integral of the measured less that of the commanded rate (Lee, Ahn & Roh eq. 33) |
+| `rate-integral` | per body axis, the integral of the measured minus the commanded rate (Lee, Ahn & Roh eq. 33) |
 
 Rotations about several axes do not commute, so `rate-integral` is an attitude error only while the vehicle turns about
 one axis. `quaternion` is valid at any attitude, for errors below 180 deg. A large roll error, as in a roll manoeuvre,
-does not turn the axes about which gimbals correct the tilt. The rotation vector would be turned by half of the roll
-error. For small errors about one axis both errors, and hence the linear loops, are equal.
+does not rotate the axes about which the gimbals correct the tilt. With the rotation vector as the error, these axes
+would be rotated by half of the roll error. For small errors about one axis the two errors, and hence the linear loops,
+are equal.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ QUATERNION = METHODS.index("quaternion")
 class Strapdown:
     """The strapdown attitude.
 
-    `q`: unit quaternion from B to R, the attitude at the start, scalar first. `last_rad`: last angle increment.
+    `q`: unit quaternion from B to R, the attitude at the start; scalar first. `last_rad`: last angle increment.
     """
 
     q: Annotated[Array, (4,)]
@@ -46,7 +47,7 @@ class AttitudeError:
     - `measured`: attitude from the counted gyro increments.
     - `error_rad`: attitude error.
     - `theta_e_rad`: attitude error clamped at its limit, the input of the law.
-    - `rate_radps`: measured rate q_g, the increment divided by the sample period.
+    - `rate_radps`: measured rate q_g, the increment divided by the sample period, or a blend of several gyros.
     """
 
     measured: Strapdown
@@ -57,7 +58,7 @@ class AttitudeError:
 
 @kernel
 def start_strapdown(state: Strapdown) -> None:
-    """Set the attitude to R, at rest."""
+    """Set the attitude to R and the last increment to zero."""
     state.q[0] = 1.0
     for axis in range(3):
         state.q[1 + axis] = 0.0
@@ -69,7 +70,7 @@ def turn(state: Strapdown, increment_rad: Array) -> None:
     """Advance the attitude by `increment_rad` (3,), the integral of the body rates over a sample.
 
     The rotation vector of the sample is the increment plus one twelfth of (last increment x increment). This coning
-    term is exact to third order for rates that are linear over both samples (Savage, J. Guidance 21(1), 1998, 19-28).
+    term is exact to third order for rates that are linear over two samples (Savage, J. Guidance 21(1), 1998, 19-28).
     """
     last, new = vec.vector_at(state.last_rad, 0), vec.vector_at(increment_rad, 0)
     by = vec.quaternion_of(vec.add(new, vec.scaled(1.0 / 12.0, vec.cross(last, new))))
@@ -83,7 +84,7 @@ def turn(state: Strapdown, increment_rad: Array) -> None:
 
 @kernel
 def start_attitude_error(state: AttitudeError) -> None:
-    """Set the error and the rate to zero."""
+    """Set the measured attitude to R, and the errors and rates to zero."""
     start_strapdown(state.measured)
     for axis in range(3):
         state.error_rad[axis] = 0.0
@@ -95,10 +96,10 @@ def start_attitude_error(state: AttitudeError) -> None:
 def update_attitude_error(
     state: AttitudeError, method: int, commanded: Strapdown, angle_rad: Array, commanded_rad: Array, limit_rad: float
 ) -> None:
-    """Update theta_e from the commanded attitude, or from the counted and the commanded angles (3,).
+    """Update theta_e from the attitudes, or from the counted and the commanded angles (3,), as `method` requires.
 
-    theta_e is clamped at `limit_rad` per axis. The clamp limits only the input of the law: the error itself continues
-    beyond the limit, and its return counts in full.
+    theta_e is clamped at `limit_rad` per axis. The clamp limits only the input of the law: `error_rad` is not limited,
+    so that a return from beyond the limit is counted in full.
     """
     turned = vec.quaternion_product(
         vec.conjugate(vec.quaternion_at(commanded.q, 0)), vec.quaternion_at(state.measured.q, 0)

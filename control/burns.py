@@ -1,11 +1,12 @@
-"""The burns of the last engine: what ends each of them, the coast between two of them, and the next ignition.
+"""The burns of the last stage's engine: cutoffs, coasts between burns, and ignitions.
 
-A burn ends at an orbit (orbit_guidance.py), where a quantity reaches its value, or with the propellant. The instant of
-a cutoff by a quantity is extrapolated from its last two samples. In a coast, the commanded attitude turns to the local
-horizontal along the motion. Settling thrust begins `settling_s` before the ignition. A restart may be timed from the
-apogee of the Kepler orbit. The next burn continues in this direction until its own guidance steers.
+A burn ends at an orbit (orbit_guidance.py), at the value of a quantity, or when the propellant is consumed. The instant
+of a cutoff by a quantity is extrapolated from its last two samples. In a coast, the commanded attitude turns to the
+local horizontal along the motion. Settling thrust begins `settling_s` before the ignition. A restart may be timed from
+the apogee of the Kepler orbit. The next burn continues in the direction of the coast until its own guidance steers.
 
-The caller supplies navigated position and velocity (`OrbitGuidanceState`), here the simulator's own.
+The caller supplies the navigated position and velocity (`OrbitGuidanceState`); the simulator supplies its own, without
+error.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ from maxq.control.orbit_guidance import (
 )
 
 QUANTITIES = ("", "earth_speed_mps", "inertial_speed_mps", "apogee_altitude_m")
-"""The quantities of a cutoff: none, speed relative to the rotating Earth, inertial speed, apogee.
+"""The quantities of a cutoff: none, speed relative to the rotating Earth, inertial speed, apogee altitude.
 
-The apogee is that of the Kepler orbit, above the equatorial radius.
+The apogee is that of the Kepler orbit, measured from the equatorial radius.
 """
 SPEED, INERTIAL_SPEED, APOGEE = range(1, len(QUANTITIES))
 SETTLING_s = 3.0  # time from an ignition to constant thrust
@@ -41,10 +42,12 @@ SETTLING_s = 3.0  # time from an ignition to constant thrust
 class GuidedBurn:
     """The parameters of one burn.
 
-    - `orbit`: guidance to its orbit; off without one. Its `start_s` counts from the ignition of a restart.
-    - `quantity`, `wanted`: cutoff where this quantity (index into QUANTITIES) reaches the value; 0 is none.
-    - `coast_s`: time from the preceding cutoff to the ignition; negative: `before_apogee_s` counts instead.
-    - `settling_s`, `settling_N`: forward thrust before the ignition.
+    - `orbit`: guidance to an orbit, with `on` = 0 if there is none. `orbit.start_s` counts from the ignition of a
+      restart.
+    - `quantity`, `wanted`: the cutoff occurs when this quantity (index into QUANTITIES) reaches this value; 0 is none.
+    - `coast_s`: time from the preceding cutoff to the ignition; if negative, the ignition is `before_apogee_s` before
+      the apogee.
+    - `settling_s`, `settling_N`: duration and force of the forward thrust before the ignition.
     """
 
     orbit: OrbitGuidance = field(default_factory=OrbitGuidance)
@@ -58,10 +61,12 @@ class GuidedBurn:
 
 @dataclass(frozen=True)
 class Burns:
-    """All burns of the last engine.
+    """The parameters of all burns of the last stage's engine.
 
-    `count`: burns with an end or a restart; 0 without any. `start_s`: first ignition on the vehicle clock.
-    `turns`: 1 where thrusters turn the vehicle in a coast.
+    - `count`: number of burns; 0 if no burn has a commanded end.
+    - `start_s`: first ignition on the vehicle clock.
+    - `turns`: 1 if thrusters turn the vehicle in a coast.
+    - `equator_m`: equatorial radius.
     """
 
     count: int = 0
@@ -76,12 +81,12 @@ class Burns:
 class BurnsState:
     """The state of the sequence of burns.
 
-    - `number`: present burn, in a coast the next one, counted from 0.
+    - `number`: current burn from 0; in a coast, the next burn.
     - `coasting`: 1 from a cutoff to the next ignition.
-    - `cut_off_s`, `ignite_s`: commanded times of the cutoff and of the next ignition; inf as long as they are unknown.
-    - `began_s`: time of the last ignition, or in a coast of the last cutoff.
-    - `last`, `last_s`: quantity of the cutoff at the last sample, and its time.
-    - `settling_N`: present settling thrust.
+    - `cut_off_s`, `ignite_s`: commanded times of the cutoff and of the next ignition; inf until they are known.
+    - `began_s`: time of the last ignition; in a coast, of the last cutoff.
+    - `last`, `last_s`: quantity of the cutoff at the last sample, and the time of that sample.
+    - `settling_N`: current settling thrust.
     """
 
     number: int
@@ -104,9 +109,10 @@ def start_burns(state: BurnsState) -> None:
 
 @kernel
 def kepler(mu_m3ps2: float, r: vec.Vector, v: vec.Vector) -> tuple[float, float, float]:
-    """Return the semi-major axis (m), e cos E and e sin E of the Kepler orbit; E is the eccentric anomaly.
+    """Return the semi-major axis (m), e cos E and e sin E of the Kepler orbit at `r` (m), `v` (m/s) in I.
 
-    Source: Vallado, Fundamentals of Astrodynamics and Applications, section 2.2. The axis is negative for an escape.
+    E is the eccentric anomaly. For an escape, the axis is negative. Source: Vallado, Fundamentals of Astrodynamics and
+    Applications, section 2.2.
     """
     radius = vec.norm(r)
     axis_m = 1.0 / (2.0 / radius - vec.dot(v, v) / mu_m3ps2)
@@ -115,7 +121,7 @@ def kepler(mu_m3ps2: float, r: vec.Vector, v: vec.Vector) -> tuple[float, float,
 
 @kernel
 def to_apogee_s(mu_m3ps2: float, r: vec.Vector, v: vec.Vector) -> float:
-    """Return the time to the next apogee by Kepler's equation; inf for an escape."""
+    """Return the time to the next apogee by Kepler's equation, s; inf for an escape."""
     axis_m, along, across = kepler(mu_m3ps2, r, v)
     if axis_m <= 0.0:
         return math.inf
@@ -125,7 +131,7 @@ def to_apogee_s(mu_m3ps2: float, r: vec.Vector, v: vec.Vector) -> float:
 
 @kernel
 def quantity_of(burns: Burns, burn: GuidedBurn, r: vec.Vector, v: vec.Vector) -> float:
-    """Return the quantity of a burn's cutoff. The apogee of an escape is infinite."""
+    """Return the quantity of a burn's cutoff at `r` (m), `v` (m/s) in I; the apogee of an escape is infinite."""
     if burn.quantity == SPEED:
         spin = burns.earth_rate_radps
         return vec.norm((v[0] + spin * r[1], v[1] - spin * r[0], v[2]))
@@ -143,7 +149,8 @@ def advance_burns(
 ) -> tuple[int, float, float]:
     """Advance the sequence at the end of a sample, and command cutoffs and ignitions.
 
-    Returns 1 if the commanded attitude `q_BR` is turned instead of by the programme, and its turn about y and z, rad.
+    Returns 1 and the turn of the commanded attitude `q_BR` about its y and z (rad) if the sequence replaces the
+    programme, otherwise 0 and zeros.
     """
     if state.coasting == 0 and time_s >= state.cut_off_s and state.number + 1 < burns.count:
         state.number, state.coasting = state.number + 1, 1
@@ -174,7 +181,7 @@ def advance_burns(
 def await_ignition(
     burn: GuidedBurn, state: BurnsState, orbit: OrbitGuidanceState, time_s: float, sample_s: float
 ) -> None:
-    """Command the next ignition when its time has come, and the settling thrust before it."""
+    """Command the next ignition within 1.5 samples of its time, and the settling thrust before it."""
     if not math.isinf(state.ignite_s):
         return
     left_s = state.began_s + burn.coast_s - time_s
@@ -190,7 +197,7 @@ def await_ignition(
 def watch_quantity(
     burns: Burns, burn: GuidedBurn, state: BurnsState, orbit: OrbitGuidanceState, time_s: float, sample_s: float
 ) -> None:
-    """Command the cutoff at the instant at which the quantity reaches its value, if it is within 1.5 samples."""
+    """Command the cutoff when the extrapolated quantity reaches its value within 1.5 samples."""
     if not math.isinf(state.cut_off_s):
         return
     value = quantity_of(burns, burn, vec.vector_at(orbit.position_m, 0), vec.vector_at(orbit.velocity_mps, 0))

@@ -4,10 +4,10 @@
           guidance, commanded attitude -----^          roll error and rate -> switching line -> thrusters
     several groups of engines: pitch, yaw and roll -> allocation -> limit -> DAC, for each group (allocation.py)
 
-The law is one of control/laws; flown.py there chooses it. Its inputs are defined in attitude.py. External flight code
-replaces the law, the roll control and the roll command (external.py).
+The law is a module of control/laws; flown.py there contains the parameters and states of all laws and calls the law that
+flies. External flight code replaces the law, the roll control and the roll command (external.py).
 
-The computer contains neither the plant nor its own delay. It returns the command at once, and the caller applies the
+The computer contains neither the plant nor its own delay. It returns the command at once; the caller applies the
 command `delay_ns` later and holds it.
 
 Triples are per body axis x, y, z (roll, pitch, yaw), pairs per gimbal axis (pitch, yaw).
@@ -58,7 +58,7 @@ from maxq.control.roll import Roll, RollState, silence_roll, start_roll, update_
 from maxq.control.sensors import Sensors, SensorState, blended_rate, make_sensors, read_sensors, start_sensors
 from maxq.control.structures import GAINS, OVER, Attitude, Law, Over
 
-# Neither a gyro nor a scenario has a larger turn in one sample: a larger value is a fault.
+# No gyro and no scenario produces a larger angle in one sample, so a larger value is a fault.
 INCREMENT_LIMIT_RAD = 1.0e3
 
 _UNUSED_ROLL = Roll(0.0, 1.0, 0.0, 0)
@@ -68,18 +68,18 @@ _UNUSED_ROLL = Roll(0.0, 1.0, 0.0, 0)
 class Computer:
     """The parameters of the flight computer.
 
-    `sample_ns`: period of the ticks. `delay_ns`: time from a tick to the effect of its command, applied by the plant.
-
+    - `sample_ns`: period of the ticks.
+    - `delay_ns`: time from a tick to the effect of its command, applied by the plant.
+    - `external`: 1 if external flight code is called.
+    - `control_on`: with 0, the law returns 0, and injected commands still pass.
+    - `guidance_on`: with 0, the programme is stopped.
+    - `roll_on`: with 0, no thruster fires.
+    - `unrolled`: 1 if the pitch and yaw axes of the programme do not roll.
+    - `programme`: table of `guidance.rate_programme`.
     - `attitude`: definition of the attitude error, index into `METHODS` of attitude.py.
-    - `angle_error_limit_rad`: clamp of theta_e.
+    - `angle_error_limit_rad`: limit of theta_e.
     - `command_limit_rad`: limit of each gimbal command; inf is no limit.
-    - `dac_step_rad`: step of the digital-to-analogue converter; 0 is none.
-
-    `programme`: table of `guidance.rate_programme`. `unrolled` = 1: the pitch and yaw axes of the programme do not
-    roll. The switches are 1 or 0. With `control_on` = 0 the law returns 0, and injected commands still pass. With
-    `guidance_on` = 0 the programme is stopped, and with `roll_on` = 0 no thruster fires.
-
-    `external`: 1 where external flight code is called.
+    - `dac_step_rad`: step of the digital-to-analogue converter; 0 is an ideal converter.
     """
 
     sample_ns: int
@@ -97,26 +97,26 @@ class Computer:
     command_limit_rad: float
     dac_step_rad: float
     roll: Roll
-    allocation: Allocation  # allocation of the current stage
+    allocation: Allocation  # of the current stage
     sensors: Sensors
-    takes_over: int = 0  # 1: the stage has its own law or timing, which starts at the separation
+    takes_over: int = 0  # 1: the stage has its own law or timing, which starts at its separation
     over: int = 0  # variable of the gain schedule, index into `OVER` of structures.py
-    burns: Burns = field(default_factory=Burns)  # cutoffs and restarts of the last engine, in its stages
+    burns: Burns = field(default_factory=Burns)  # cutoffs and restarts of the last stage's engine
     adaptive: Adaptive = field(default_factory=Adaptive)
     loops: loop_filters.LoopFilters = field(default_factory=loop_filters.LoopFilters)
 
 
 @dataclass
 class ComputerState:
-    """The state of the flight computer, allocated by `records.blank` and started by `start_computer`.
+    """The state of the flight computer, allocated by `records.blank` and initialised by `start_computer`.
 
-    - `ticks`: samples done.
-    - `invalid_inputs`: inputs rejected so far (`computer_tick`).
-    - `requested_rad`: output of the law plus injected command.
-    - `command_limited`: 1 where the limit cut that sum.
-    - `command_rad`: gimbal command issued at the last tick; the roll demand is `roll.demand`.
+    - `ticks`: number of processed samples.
+    - `invalid_inputs`: number of rejected inputs (`computer_tick`).
+    - `requested_rad`: output of the law plus the injected command.
+    - `command_limited`: 1 if this sum exceeds the limit.
+    - `command_rad`: gimbal command of the last tick; the roll demand is `roll.demand`.
     - `navigation`: speed_mps, mass_kg, dynamic_pressure_Pa at the end of the sample (`OVER` of structures.py). The
-      caller writes them where scheduled gains or external flight code use them.
+      caller writes them if scheduled gains or external flight code use them.
     """
 
     ticks: int
@@ -129,7 +129,7 @@ class ComputerState:
     command_limited: Annotated[IntArray, (2,)]
     command_rad: Annotated[Array, (2,)]
     roll: RollState
-    turning: Annotated[tuple[RollState, ...], (2,)]  # thrusters in pitch and yaw, which fire in a coast
+    turning: Annotated[tuple[RollState, ...], (2,)]  # pitch and yaw thrusters, which fire in a coast
     allocation: AllocationState
     external: ExternalState
     sensors: SensorState
@@ -171,19 +171,20 @@ def build_computer(
 ) -> Computer:
     """Return the parameters of a computer, and add its tables to `pool`.
 
-    `gains` is a table of `pd.gains_table` with the columns of `law` over the variable `over`. Without it the law
-    returns 0. `integral_limit_rad` bounds the integral of PID. `programme` is a table of `guidance.rate_programme`.
-    Without it the commanded rates are 0.
+    - `gains`: table of `pd.gains_table` with the columns of `law` over the variable `over`. Without it, the law returns
+      0.
+    - `integral_limit_rad`: limit of the integral of PID.
+    - `programme`: table of `guidance.rate_programme`. Without it, the commanded rates are 0.
+    - `pitch_filter`, `yaw_filter`: filters of `BendingFilter.discretize`. Without `yaw_filter`, the pitch filter also
+      applies to yaw; without either, the law's output is not filtered. A filter without sections leaves its axis
+      unfiltered.
+    - `moving_filter`, `roll`, `sensors`, `adaptive`, `loops`: results of `filter_schedule.make_moving_filter`,
+      `roll.make_roll`, `sensors.make_sensors`, `adaptive.make_adaptive` and `loop_filters.make_loop_filters`. Without
+      `roll`, no thruster fires.
+    - `relief_hz`: corner frequency of the accelerometer lag of a load-relief law.
 
-    Filters are those of `BendingFilter.discretize`. Without `yaw_filter` yaw uses the filter of pitch; without either,
-    the law's output is not filtered. A filter without sections leaves a single axis unfiltered. `moving_filter` comes
-    from `filter_schedule.make_moving_filter`. `roll` comes from `roll.make_roll`. Without it no thruster fires.
-
-    `count_rad` = 0 is an ideal converter, `dac_step_rad` = 0 an ideal DAC, and an infinite limit is no limit.
-    `relief_hz` is the corner frequency of the accelerometer lag of a load-relief law. `sensors` comes from
-    `sensors.make_sensors`, `adaptive` from `adaptive.make_adaptive`, `loops` from `loop_filters.make_loop_filters`.
-
-    Raises ValueError that names key, value and allowed values.
+    A `count_rad` of 0 is an ideal converter, a `dac_step_rad` of 0 an ideal DAC, and an infinite limit is no limit.
+    Raises ValueError with key, value and allowed values.
     """
     for key, value, holds, allowed in (
         ("sample_ns", sample_ns, sample_ns > 0 and int(sample_ns) == sample_ns, "a whole number above 0"),
@@ -263,9 +264,10 @@ def start_computer(computer: Computer, pool: Array, state: ComputerState, time_s
 
 @routine
 def take_over(before: Computer, computer: Computer, state: ComputerState) -> None:
-    """Hand over from the law of the stage `before` to that of a stage with a law of its own.
+    """Hand over from the law of the stage `before` to that of a stage with its own law.
 
-    The new filters are settled at the last inputs of the old ones, which fade out. Adaptation restarts.
+    The new filters are settled at the last inputs of the old filters, which fade out. Adaptation and roll control
+    restart.
     """
     attitude, old, new, loops = state.attitude, before.loops, computer.loops, state.loops
     loops.fading = new.fade_ticks
@@ -304,18 +306,19 @@ def computer_tick(
     gimbal_injection_rad: Array,
     gimbal_replaces: IntArray,
 ) -> None:
-    """Process one sample: read the sample that ends at `time_s`, and leave the new command in `state`.
+    """Process the sample that ends at `time_s`, and write the new command into `state`.
 
-    `increment_rad` (3,): gyro angle about x, y, z since the last tick. `rate_injection_radps` (3,): rates, constant
-    over the sample that ends now, which add to the commanded rates, or replace them where `rate_replaces` (3,) is not
-    0. `gimbal_injection_rad` (2,), `gimbal_replaces` (2,): the same for the filtered command, before limit and DAC.
+    - `increment_rad` (3,): gyro angles about x, y, z since the last tick.
+    - `rate_injection_radps` (3,): rates, constant over the sample, added to the commanded rates. They replace the
+      commanded rates where `rate_replaces` (3,) is not 0.
+    - `gimbal_injection_rad` (2,), `gimbal_replaces` (2,): the same for the filtered command, before limit and DAC.
 
-    Writes `state.command_rad` (2,), pitch and yaw, `state.roll.demand`, and the angles of each group of engines in
+    Writes `state.command_rad` (2,) in pitch and yaw, `state.roll.demand`, and the angles of each group of engines in
     `state.allocation`.
 
     An input that is not finite, or an angle beyond `INCREMENT_LIMIT_RAD` in one sample, is replaced by 0 and counted in
-    `state.invalid_inputs`. Hence a bad sample does not corrupt sums and filters. The caller checks this count and
-    ensures that `time_s` is finite.
+    `state.invalid_inputs`, so that it does not corrupt sums and filters. The caller checks this count and ensures that
+    `time_s` is finite.
     """
     sample_s = computer.sample_ns / 1.0e9
     for axis in range(3):
@@ -388,7 +391,7 @@ def computer_tick(
 
 @routine
 def follow_burns(burns: Burns, state: ComputerState, time_s: float, sample_s: float) -> None:
-    """Turn the commanded attitude: in pitch and yaw by the closed-loop guidance, in roll by the programme."""
+    """Replace the commanded turn in pitch and yaw by that of the burns, if they steer; roll follows the programme."""
     guidance = state.guidance
     turns, turn_y, turn_z = advance_burns(burns, state.burns, state.orbit, guidance.attitude.q, time_s, sample_s)
     if turns == 1:
@@ -398,7 +401,7 @@ def follow_burns(burns: Burns, state: ComputerState, time_s: float, sample_s: fl
 
 @routine
 def fire_in_coast(computer: Computer, state: ComputerState) -> None:
-    """Update the demands on the thrusters in pitch and yaw, by the switching line of roll."""
+    """Update the demands on the pitch and yaw thrusters by the switching line of roll control."""
     for k in range(2):
         if state.burns.coasting == 1:
             error_rad, rate_radps = state.attitude.theta_e_rad[1 + k], state.attitude.rate_radps[1 + k]
@@ -455,7 +458,7 @@ def hand_sensors(computer: Computer, state: ComputerState) -> None:
 def allocate_commands(computer: Computer, pool: Array, state: ComputerState, time_s: float) -> None:
     """Allocate the commands in pitch, yaw and roll to the groups of engines.
 
-    Limit and DAC act on the angles of each group.
+    With several groups, limit and DAC act on the angles of each group.
     """
     a, angles = computer.allocation, state.allocation.angle_rad
     if a.groups == 1:
@@ -479,9 +482,9 @@ def allocate_commands(computer: Computer, pool: Array, state: ComputerState, tim
 def update_command(
     computer: Computer, pool: Array, state: ComputerState, gimbal: int, at: float, injected_rad: float, replaces: int
 ) -> None:
-    """Compute the command of gimbal axis `gimbal` (0 pitch, 1 yaw).
+    """Compute the command of gimbal axis `gimbal` (0 pitch, 1 yaw) from the law with the gains at `at`.
 
-    It is the law with the gains at `at`, then injection, limit and DAC.
+    The steps are law, fade-out, adaptation, injection, limit and DAC.
     """
     error_rad, rate_radps = state.attitude.theta_e_rad[gimbal + 1], state.attitude.rate_radps[gimbal + 1]
     lateral_mps2, sample_s = 0.0, computer.sample_ns / 1.0e9
@@ -523,12 +526,12 @@ def update_command(
 
 @kernel
 def limit_and_quantise(requested_rad: float, limit_rad: float, step_rad: float) -> float:
-    """Return `requested_rad` limited to ±`limit_rad`, at the nearest DAC step within the limit; a step of 0 is none."""
+    """Return `requested_rad`, limited to ±`limit_rad` and rounded to a DAC step within the limit; step 0 is ideal."""
     command_rad = min(max(requested_rad, -limit_rad), limit_rad)
     if step_rad == 0.0:
         return command_rad
     steps = round_half_away(command_rad / step_rad)
-    # The limit is generally not a multiple of the step; the tolerance accepts a multiple despite rounding.
+    # The limit is not generally a multiple of the step; the tolerance accepts a multiple despite rounding.
     if abs(steps) * step_rad > limit_rad * (1.0 + 1.0e-12):
         steps -= 1 if steps > 0 else -1
     return steps * step_rad
@@ -559,7 +562,7 @@ def control_row(state: ComputerState) -> ControlRow:
 
 
 class GuidanceRow(NamedTuple):
-    """The log row of the attitude in the computer; R is B at the computer's start."""
+    """The log row of the attitude in the computer; R is B at the start of the computer."""
 
     axis_commanded_deg: Annotated[RollPitchYaw, "deg", "integral of the commanded rate"]
     axis_measured_deg: Annotated[RollPitchYaw, "deg", "attitude angle: sum of the gyro pulses"]

@@ -1,7 +1,7 @@
 """The voltage-to-frequency converter, which turns the gyro rate integrated over a sample into a whole number of pulses.
 
-A pulse represents `count_rad`. The residual of a sample stays in the integrator and is counted later. Hence the sum of
-the pulses equals the true angle within half a pulse at all times (Lee, Ahn & Roh 2.3; errata 15).
+A pulse represents `count_rad`. The residual of a sample remains in the integrator and is counted later. Hence the sum
+of the pulses always equals the true angle within half a pulse (Lee, Ahn & Roh 2.3; errata 15).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Annotated
 from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.records import Array, IntArray
 
-# With a finer pulse the accumulated rounding of the residual (1e-18 rad per sample) could reach one count in a long
+# With a finer pulse, the accumulated rounding of the residual (1e-18 rad per sample) could reach one count in a long
 # flight, and the int64 total could overflow.
 FINEST_COUNT_RAD = 1.0e-9
 
@@ -22,7 +22,7 @@ FINEST_COUNT_RAD = 1.0e-9
 class Converter:
     """The parameter of the converter.
 
-    `count_rad`: angle per pulse, rad; 0 is an ideal converter, which returns the increment itself.
+    `count_rad`: angle per pulse, rad. With 0, the converter is ideal and returns the increment itself.
     """
 
     count_rad: float
@@ -33,7 +33,7 @@ class ConverterState:
     """The state of the converter, per body axis x, y, z (roll, pitch, yaw), in B relative to I.
 
     - `counts`: pulses of the last sample.
-    - `total_counts`: their exact sum. Both stay 0 in an ideal converter.
+    - `total_counts`: exact sum of all pulses. In an ideal converter, both counts are 0.
     - `residual_rad`: angle not yet counted.
     - `increment_rad`: measured increment of the last sample.
     - `angle_rad`: sum of the measured increments, computed from `total_counts`, not by adding floats.
@@ -60,14 +60,14 @@ def make_converter(count_rad: float) -> Converter:
 def round_half_away(value: float) -> int:
     """Return the nearest whole number, with halves rounded away from 0.
 
-    A mirrored flight is then the exact mirror image.
+    Hence a mirrored flight is the exact mirror image.
     """
     return int(value + math.copysign(0.5, value))
 
 
 @kernel
 def start_converter(state: ConverterState) -> None:
-    """Reset all counts and angles."""
+    """Set all counts and angles to 0."""
     for axis in range(3):
         state.counts[axis] = 0
         state.total_counts[axis] = 0

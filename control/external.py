@@ -1,9 +1,9 @@
-"""External flight code: its inputs and outputs at each sample, and the call.
+"""External flight code: its inputs and outputs at each sample, and its call.
 
-Inputs and outputs are the C structs of `maxq_fsw.h`, field for field. All fields have eight bytes, and a later version
-only adds fields at the end. tests/test_oracle_flight_software.py compares both with the layout of a C compiler. The
-code is a C function at an address, called from the compiled flight. For Python code and code behind a socket, ctypes
-makes such a C function (sim/run/flight_software.py).
+Inputs and outputs are the C structs of `maxq_fsw.h`, field by field. All fields have eight bytes, and a later version
+only adds fields at the end. tests/test_oracle_flight_software.py compares both structs with the layout of a C compiler.
+The code is a C function at an address, which the compiled flight calls. For Python code and code behind a socket,
+ctypes makes such a C function (sim/run/flight_software.py).
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from maxq.control.kernel.records import Array, IntArray
 HEADER = Path(__file__).with_name("maxq_fsw.h")
 ABI = 1
 MONITORS = 8
-LARGEST_RAD = 1.0e6  # largest command, far below overflow
+LARGEST_RAD = 1.0e6  # limit of a command's magnitude, far below overflow
 
 HEALTH_ACCELEROMETER, HEALTH_RATE_GYROS = 2, 4  # bits of `FswInputs.health`
 
 OWN_ERROR, NOT_FINITE, BAD_THRUSTER, CRASHED, STUCK = range(1, 6)
-"""The faults with which flight code ends a flight.
+"""The faults of flight code that end a flight.
 
-CRASHED and STUCK are detected from outside (sim/run/flight_software.py).
+`OWN_ERROR` is a return value other than 0. `CRASHED` and `STUCK` are detected in sim/run/flight_software.py.
 """
 
 
@@ -41,21 +41,20 @@ class FswInputs:
 
     - `bytes`: size of the struct.
     - `time_ns`, `time_s`: vehicle clock at the end of the sample.
-    - `tick`: samples before this one.
-    - `stage`: from 0.
-    - `health`: bit 0, all gyro increments were valid; bits 1 and 2, the samples of the accelerometer and of all further
-      rate gyros have arrived.
-    - `counts`, `delta_angle_rad`: gyro pulses of the sample and the corresponding angle; without quantisation counts
+    - `tick`: number of earlier samples.
+    - `stage`: number of the stage, from 0.
+    - `health`: bit 0 is set if all gyro increments were valid, bit 1 if the accelerometer's sample has arrived, and bit
+      2 if the samples of all further rate gyros have arrived.
+    - `counts`, `delta_angle_rad`: gyro pulses of the sample and the corresponding angle; without quantisation, counts
       are 0.
-    - `angle_rad`: sum of the angles.
-    - `rate_radps`: angle of the sample divided by its period.
-    - `commanded_angle_rad`, `commanded_rate_radps`: of the guidance programme, with injected rates.
+    - `angle_rad`: sum of `delta_angle_rad`.
+    - `rate_radps`: rate in the control law: angle of the sample divided by its period, blended with further rate gyros.
+    - `commanded_angle_rad`, `commanded_rate_radps`: angle and rate of the guidance programme, with injected rates.
     - `attitude_error_rad`: input of the built-in law.
-    - `q_BR`, `commanded_q_BR`: attitude from the counts and of the guidance, B to R (the body at its start), scalar
-      first.
-    - `delta_velocity_mps`: specific force integrated over the sample, from the accelerometer; 0 without one.
-    - `further_rate_radps`: rates of the gyros beyond the first, as `rate_radps`.
-    - `speed_mps`, `mass_kg`, `dynamic_pressure_Pa`: as for gain schedules (structures.py).
+    - `q_BR`, `commanded_q_BR`: measured and commanded attitude, B to R (the body at its start), scalar first.
+    - `delta_velocity_mps`: specific force integrated over the sample by the accelerometer; 0 without an accelerometer.
+    - `further_rate_radps`: rates of the gyros after the first.
+    - `speed_mps`, `mass_kg`, `dynamic_pressure_Pa`: variables of the gain schedules (structures.py).
     """
 
     bytes: int
@@ -82,11 +81,11 @@ class FswInputs:
 
 @dataclass
 class FswOutputs:
-    """The struct `maxq_fsw_outputs`; all 0 before each call.
+    """The struct `maxq_fsw_outputs`, set to 0 before each call.
 
-    - `gimbal_rad`: commands in pitch and yaw before limit and DAC, which are hardware.
+    - `gimbal_rad`: commands in pitch and yaw, before the limit and the DAC, which are hardware.
     - `roll_gimbal_rad`: roll command to several groups of engines (allocation.py).
-    - `roll_thruster`: -1, 0 or 1.
+    - `roll_thruster`: demand on the roll thrusters, -1, 0 or 1.
     - `monitor`: values for the log.
     """
 
@@ -103,10 +102,10 @@ class ExternalState:
 
     - `step`, `instance`: addresses of the function and of its instance.
     - `inside`: 1 while the function runs.
-    - `calls`: calls so far.
-    - `invalid_before`: invalid inputs up to the previous sample.
-    - `fault`: 0, or the reason that ends the flight.
-    - `code`: return value of the function, or index of the invalid output.
+    - `calls`: number of calls.
+    - `invalid_before`: number of invalid inputs up to the previous sample.
+    - `fault`: 0, or the fault that ends the flight.
+    - `code`: return value of the function, or the invalid output (its index, or the roll demand).
     """
 
     step: int
@@ -126,7 +125,7 @@ def _address_of(record: Any) -> int:
 
 
 def call_step(step: int, instance: int, inputs: FswInputs, outputs: FswOutputs) -> int:
-    """Return the result of the C function at the address `step` for an instance."""
+    """Call the C function at the address `step` for an instance, and return its result."""
     function = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 3)(step)
     code: int = function(instance, _address_of(inputs), _address_of(outputs))
     return code
@@ -134,7 +133,7 @@ def call_step(step: int, instance: int, inputs: FswInputs, outputs: FswOutputs) 
 
 @intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
 def _call(context: Any, step: Any, instance: Any, inputs: Any, outputs: Any) -> Any:
-    """Numba intrinsic: pass records as addresses, so that the call costs as much as in C."""
+    """Call a function with the addresses of records, without the overhead of ctypes (Numba intrinsic)."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = ir.IntType(8).as_pointer()
@@ -164,7 +163,7 @@ def clear_outputs(outputs: FswOutputs) -> None:
 
 @kernel
 def step_external(state: ExternalState) -> None:
-    """Call the code on `state.inputs`. Set invalid outputs to 0 and record a fault."""
+    """Call the code on `state.inputs`. After a fault, record it and set all outputs to 0."""
     inputs, outputs = state.inputs, state.outputs
     clear_outputs(outputs)
     if state.fault != 0 or state.step == 0:

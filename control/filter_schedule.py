@@ -1,16 +1,16 @@
 """A bending filter that changes over the flight: its schedule, and the kernel that runs it.
 
-The frequencies and damping ratios of each section are linear between the values of a schedule, so that every filter in
-between is stable. The kernel computes the coefficients of each sample from these parameters.
+The frequencies and damping ratios of each section are linear between the values of a schedule, so that all intermediate
+filters are stable. The kernel computes the coefficients of each sample from these parameters.
 
-A section is a state-variable filter, two integrators in a loop, of which each is trapezoidal. With constant parameters
-its response is that of the bilinear filter (filters.py). With p the poles, z the zeros, g = w_p / c and r = w_p / w_z:
+A section is a state-variable filter: two trapezoidal integrators in a loop. With constant parameters, its response is
+that of the bilinear filter (filters.py). With p the poles, z the zeros, g = w_p / c and r = w_p / w_z:
 
     e = u - 2 zeta_p x1 - x2,    x1 = integral of w_p e,    x2 = integral of w_p x1,    y = r^2 e + 2 zeta_z r x1 + x2
 
-Two properties of this structure hold for any change of the parameters, unlike those of the direct forms:
+Two properties of this structure hold for any change of the parameters, in contrast to the direct forms:
 
-- At a constant input, x1 = 0 and x2 = u whatever the parameters, so that a change does not alter the output.
+- At a constant input, x1 = 0 and x2 = u for all parameters, so that a change does not alter the output.
 - Without an input, x1^2 + x2^2 does not grow: a step is the Cayley transform of g A with A + A' <= 0, a contraction.
 
 A first-order section has one such integrator. Source of the structure: Zavalishin, The Art of VA Filter Design, 2012,
@@ -34,15 +34,15 @@ from maxq.control.structures import MAX_SECTIONS
 
 QUADRATIC, FIRST_ORDER = 4, 2  # parameters of a section
 SCHEDULED_METHODS: tuple[Discretization, ...] = ("prewarped", "bilinear")
-"""The discretisation methods of a filter that changes: the kernel needs no exponentials for them."""
+"""The discretisation methods of a filter that changes; they need no exponentials in the kernel."""
 
 
 @dataclass(frozen=True)
 class FilterSchedule:
-    """Filters of equal structure at rising values `at` (n,) of a scheduling variable; a single one is constant.
+    """Filters of equal structure at increasing values `at` (n,) of a scheduling variable; a single filter is constant.
 
-    In between, the frequencies and damping ratios are linear; outside, the end values hold. Raises ValueError for
-    filters of different structures, and for a first-order zero that changes its half plane.
+    The frequencies and damping ratios are linear between these values; the end values apply outside. Raises ValueError
+    for filters of different structures, and for a first-order zero that changes its half plane.
     """
 
     at: tuple[float, ...]
@@ -63,7 +63,7 @@ class FilterSchedule:
 
     @property
     def moves(self) -> bool:
-        """Return True if the filter has more than one point."""
+        """Return True if the schedule has more than one filter."""
         return len(self.filters) > 1
 
     @property
@@ -81,19 +81,19 @@ class FilterSchedule:
         return filter_of(self.table(at), *self.structure) if self.moves else self.filters[0]
 
     def slope(self, at: float) -> Array:
-        """Return the derivatives of the parameters by the scheduling variable, to the right of a breakpoint."""
+        """Return the derivatives of the parameters with respect to the variable; right derivatives at breakpoints."""
         return self.table.slope(at) if self.moves else 0.0 * parameters_of(self.filters[0])
 
 
 def parameters_of(filter_: BendingFilter) -> Array:
-    """Return zero_hz, zero_zeta, pole_hz, pole_zeta of each quadratic section, then zero_hz, pole_hz of the others."""
+    """Return the parameters: zero_hz, zero_zeta, pole_hz, pole_zeta of quadratic sections, then zero_hz, pole_hz."""
     quadratic = [(q.zero_hz, q.zero_zeta, q.pole_hz, q.pole_zeta) for q in filter_.quadratic]
     first_order = [(f.zero_hz, f.pole_hz) for f in filter_.first_order]
     return np.array([value for section in (*quadratic, *first_order) for value in section], float)
 
 
 def filter_of(parameters: Array, quadratic: int, first_order: int) -> BendingFilter:
-    """Return the filter with these parameters and numbers of sections."""
+    """Return the filter with these parameters, in the order of `parameters_of`, and these numbers of sections."""
     split = QUADRATIC * quadratic
     assert len(parameters) == split + FIRST_ORDER * first_order
     return BendingFilter(
@@ -106,8 +106,8 @@ def filter_of(parameters: Array, quadratic: int, first_order: int) -> BendingFil
 class MovingFilter:
     """The parameters of a filter that changes.
 
-    `table`: physical parameters over the variable of the gain schedule (`FilterSchedule.table`); none: no such filter.
-    `g_per_hz`: 2 pi / c of the bilinear transform s = c (z - 1)/(z + 1).
+    `table`: physical parameters over the variable of the gain schedule (`FilterSchedule.table`); `NO_TABLE` if no
+    filter changes. `g_per_hz`: 2 pi / c of the bilinear transform s = c (z - 1)/(z + 1).
     """
 
     table: TableRef = NO_TABLE
@@ -127,14 +127,15 @@ class MovingFilterState:
 def make_moving_filter(
     pool: Pool, schedule: FilterSchedule, sample_s: float, method: Discretization, prewarp_hz: float | None
 ) -> MovingFilter:
-    """Return the parameters of a filter with two or more points, and add its table to `pool`.
+    """Return the parameters of a filter with at least two points, and add its table to `pool`.
 
-    The arguments are those of `BendingFilter.discretize`. Raises ValueError for a method outside `SCHEDULED_METHODS`.
+    The other arguments are those of `BendingFilter.discretize`. Raises ValueError for a method outside
+    `SCHEDULED_METHODS`, and as `BendingFilter.discretize` does.
     """
     if method not in SCHEDULED_METHODS:
         raise ValueError(f"discretization = {method!r} of a schedule: allowed is {', '.join(SCHEDULED_METHODS)}")
     for one in schedule.filters:
-        one.discretize(sample_s, method, prewarp_hz)  # its checks
+        one.discretize(sample_s, method, prewarp_hz)  # for its checks
     return MovingFilter(
         pool.add(schedule.table), *schedule.structure, 2.0 * math.pi / bilinear_constant(sample_s, method, prewarp_hz)
     )
@@ -158,7 +159,7 @@ def move_filter(moving: MovingFilter, pool: Array, state: MovingFilterState, at:
 
 @kernel
 def quadratic_sample(p: Array, at: int, g_per_hz: float, memory: Array, value: float) -> float:
-    """Return the output of a quadratic section with the parameters p[at:] for the next input."""
+    """Return the output of a quadratic section with the parameters `p[at:]` for the next input."""
     g, r = p[at + 2] * g_per_hz, p[at + 2] / p[at]
     damping = 2.0 * p[at + 3]
     x1 = (memory[0] + g * (value - memory[1])) / (1.0 + g * (damping + g))
@@ -171,7 +172,7 @@ def quadratic_sample(p: Array, at: int, g_per_hz: float, memory: Array, value: f
 
 @kernel
 def first_order_sample(p: Array, at: int, g_per_hz: float, memory: Array, value: float) -> float:
-    """Return the output of a first-order section with the parameters p[at:] for the next input."""
+    """Return the output of a first-order section with the parameters `p[at:]` for the next input."""
     g, r = p[at + 1] * g_per_hz, p[at + 1] / p[at]
     x = memory[0] + g * (value - memory[0]) / (1.0 + g)
     memory[0] = 2.0 * x - memory[0]
@@ -181,7 +182,7 @@ def first_order_sample(p: Array, at: int, g_per_hz: float, memory: Array, value:
 
 @kernel
 def moving_sample(moving: MovingFilter, state: MovingFilterState, gimbal: int, value: float) -> float:
-    """Return the output of the cascade of an axis for the next input, with the parameters of `move_filter`."""
+    """Return the output of an axis's cascade for the next input, with the parameters set by `move_filter`."""
     n, memory = moving.n_quadratic, state.memory[gimbal]
     for i in range(n):
         value = quadratic_sample(state.parameters, QUADRATIC * i, moving.g_per_hz, memory[i], value)
@@ -205,9 +206,9 @@ def settle_moving(moving: MovingFilter, state: MovingFilterState, gimbal: int, v
 def freeze_moving(moving: MovingFilter, state: MovingFilterState, gimbal: int, sections: Array, memory: Array) -> None:
     """Write the filter with its present parameters as biquads, and its state as their memory (`filter_sample`).
 
-    `sections` (>= n, 5), `memory` (>= n, 2). The filter's own memory is used up. A biquad in transposed direct form II
-    has the same output for every input if it has the same two outputs y0, y1 without input. Its memory is then y0 and
-    y1 + a1 y0.
+    `sections` (>= n, 5), `memory` (>= n, 2). The integrators of the filter are overwritten. A biquad in transposed
+    direct form II has the same output for every input if its first two outputs y0, y1 without input are equal. Its
+    memory is then y0 and y1 + a1 y0.
     """
     p, g_per_hz, n = state.parameters, moving.g_per_hz, moving.n_quadratic
     for i in range(n + moving.n_first_order):

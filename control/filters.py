@@ -1,8 +1,8 @@
-"""Bending filters F2 to F6 and beyond: continuous form, discretisation, and the kernel that runs one sample.
+"""Bending filters: continuous form, discretisation, and the kernel that computes one sample.
 
 A filter is a product of quadratic sections (s²/ω_z² + 2 ζ_z s/ω_z + 1)/(s²/ω_p² + 2 ζ_p s/ω_p + 1) and first-order
-sections (s/z + 1)/(s/p + 1). It is one of those of Lee, Ahn & Roh, eqs 37-41, or has any number of each section, at
-most `MAX_SECTIONS` in all. Every filter has unit DC gain, and every discretisation preserves it.
+sections (s/z + 1)/(s/p + 1). It has one of the structures F2 to F6 of Lee, Ahn & Roh, eqs 37-41, or any numbers of
+sections, at most `MAX_SECTIONS` in total. Every filter has unit DC gain, and every discretisation preserves it.
 
 The flight computer runs the discrete filter as a cascade of biquads in transposed direct form II.
 """
@@ -28,7 +28,7 @@ ComplexArray = NDArray[np.complex128]
 class QuadraticSection:
     """The section (s²/ω_z² + 2 ζ_z s/ω_z + 1)/(s²/ω_p² + 2 ζ_p s/ω_p + 1) with ω = 2π times the frequency in Hz.
 
-    Poles must be stable; zeros may be in either half plane (`zero_zeta` of any sign).
+    The poles must be stable. The zeros may be in either half plane (`zero_zeta` of any sign).
     """
 
     zero_hz: float
@@ -58,8 +58,8 @@ class FirstOrderSection:
 class BendingFilter:
     """The continuous filter: the product of its sections, or 1 without sections.
 
-    Raises ValueError that names key, value and allowed values for values that are not finite, unstable poles, a zero at
-    the origin, and more than `MAX_SECTIONS` sections.
+    Raises ValueError with key, value and allowed values for values that are not finite, unstable poles, a zero at the
+    origin, and more than `MAX_SECTIONS` sections.
     """
 
     quadratic: tuple[QuadraticSection, ...] = ()
@@ -89,7 +89,10 @@ class BendingFilter:
         return float(gain * math.prod(f.pole_hz / abs(f.zero_hz) for f in self.first_order))
 
     def polynomials(self) -> Array:
-        """Return (sections, 2, 3): numerator and denominator in rising powers of s, quadratic sections first."""
+        """Return numerator and denominator of each section in rising powers of s, (sections, 2, 3).
+
+        Quadratic sections are first.
+        """
         rows = [q.polynomials() for q in self.quadratic] + [f.polynomials() for f in self.first_order]
         return np.array(rows).reshape(-1, 2, 3)
 
@@ -106,14 +109,16 @@ class BendingFilter:
     ) -> DiscreteFilter:
         """Return the discrete filter at the period `sample_s`.
 
-        - `prewarped`: bilinear, s = c (z - 1)/(z + 1) with the single constant c = ω0/tan(ω0 T/2) in all sections, so
-          that the response at ω0 = 2π `prewarp_hz` equals the continuous one.
+        - `prewarped`: bilinear, s = c (z - 1)/(z + 1), with one constant c = ω0/tan(ω0 T/2) for all sections, so that
+          the response at ω0 = 2π `prewarp_hz` equals the continuous response.
         - `bilinear`: c = 2/T (Tustin).
-        - `matched`: poles and zeros are mapped by exp(sT), with a DC gain of 1; rejected where one would alias.
-        - `zoh`: step-invariant for the cascade as a whole, so its sections differ from those of the continuous filter.
+        - `matched`: poles and zeros are mapped by exp(sT), with a DC gain of 1. A pole or zero beyond the Nyquist
+          frequency is rejected, because it would alias.
+        - `zoh`: step-invariant for the cascade as a whole, so that the discrete sections do not correspond to the
+          continuous sections.
 
-        A filter without sections is 1 by any method and needs no `prewarp_hz`. Raises ValueError that names key, value
-        and allowed values.
+        A filter without sections is 1 by any method and needs no `prewarp_hz`. Raises ValueError with key, value and
+        allowed values.
         """
         _refuse_unless(sample_s > 0, "sample_s", sample_s, "a finite number above 0")
         if method not in get_args(Discretization):
@@ -134,7 +139,7 @@ class BendingFilter:
 
 
 def bilinear_constant(sample_s: float, method: Discretization, prewarp_hz: float | None) -> float:
-    """Return c of s = c (z - 1)/(z + 1), 1/s."""
+    """Return the constant c of the transform s = c (z - 1)/(z + 1), 1/s."""
     if method == "bilinear" or prewarp_hz is None:
         return 2.0 / sample_s
     return 2.0 * math.pi * prewarp_hz / math.tan(math.pi * prewarp_hz * sample_s)
@@ -144,7 +149,7 @@ def bilinear_constant(sample_s: float, method: Discretization, prewarp_hz: float
 class DiscreteFilter:
     """The discrete filter, a cascade of biquads: `sections` (n, 5) of b0, b1, b2, a1, a2 with a0 = 1, in powers of z⁻¹.
 
-    Raises ValueError if a section is unstable or not finite, or there are more than `MAX_SECTIONS`.
+    Raises ValueError for a section that is unstable or not finite, and for more than `MAX_SECTIONS` sections.
     """
 
     sections: Array
@@ -163,7 +168,7 @@ class DiscreteFilter:
         return len(self.sections)
 
     def padded(self) -> Array:
-        """Return (MAX_SECTIONS, 5): the sections followed by zeros, as in a parameter record."""
+        """Return the sections followed by zeros, (MAX_SECTIONS, 5), as in a parameter record."""
         out = np.zeros((MAX_SECTIONS, 5))
         out[: self.n_sections] = self.sections
         return out
@@ -183,10 +188,10 @@ def _refuse_unless(holds: bool, key: str, value: float, allowed: str) -> None:
 
 
 def _bilinear(numerator: Array, denominator: Array, c: float) -> Array:
-    """Return the section under s = c (z - 1)/(z + 1)."""
+    """Return the section [b0, b1, b2, a1, a2] under s = c (z - 1)/(z + 1)."""
     rows = []
     for p0, p1, p2 in (numerator, denominator):
-        if numerator[2] == denominator[2] == 0:  # first order: the common factor (z + 1) is left out
+        if numerator[2] == denominator[2] == 0:  # first order: without the common factor (z + 1)
             rows.append((p0 + c * p1, p0 - c * p1, 0.0))
         else:
             rows.append((p0 + c * p1 + c * c * p2, 2 * (p0 - c * c * p2), p0 - c * p1 + c * c * p2))
@@ -194,7 +199,7 @@ def _bilinear(numerator: Array, denominator: Array, c: float) -> Array:
 
 
 def _matched(numerator: Array, denominator: Array, sample_s: float) -> Array:
-    """Return the section with poles and zeros at exp(sT)."""
+    """Return the section [b0, b1, b2, a1, a2] with poles and zeros at exp(sT)."""
     rows = []
     for name, polynomial in (("zero", numerator), ("pole", denominator)):
         roots = np.polynomial.polynomial.polyroots(np.trim_zeros(polynomial, "b"))
@@ -213,7 +218,7 @@ def _matched(numerator: Array, denominator: Array, sample_s: float) -> Array:
 def _step_invariant(polynomials: Array, sample_s: float) -> list[Array]:
     """Return the sections of the zero-order-hold equivalent of the whole cascade.
 
-    It differs from the product of the sections' own equivalents, because the signal between two sections is not a
+    It differs from the product of the equivalents of the sections, because the signal between two sections is not a
     staircase.
     """
     from scipy.linalg import expm  # noqa: PLC0415  # lazy: scipy.signal takes 0.4 s to import, most flights
@@ -226,7 +231,7 @@ def _step_invariant(polynomials: Array, sample_s: float) -> list[Array]:
     for n, q in polynomials:
         order = 2 if q[2] != 0 else 1
         through = n[order] / q[order]
-        # Controllable canonical form of this section, then in series behind those before it.
+        # Controllable canonical form of this section, connected in series after the previous sections.
         a_i = np.eye(order, k=1)
         a_i[-1] = -q[:order] / q[order]
         b_i = np.eye(order)[-1]
@@ -255,7 +260,7 @@ def _normalised(b: Array, a: Array) -> Array:
 def filter_sample(sections: Array, n_sections: int, memory: Array, value: float) -> float:
     """Return the output of the cascade for the next input `value`, in transposed direct form II.
 
-    `sections` (>= n, 5): b0, b1, b2, a1, a2. `memory` (>= n, 2): advanced in place. Without sections the output is
+    `sections` (>= n, 5): b0, b1, b2, a1, a2. `memory` (>= n, 2) is advanced in place. Without sections, the output is
     `value`.
     """
     for i in range(n_sections):

@@ -1,9 +1,10 @@
-"""Guidance by a programme of commanded body rates over time, flown as the exact integral of the rates.
+"""Guidance by a programme of commanded body rates over time, integrated exactly.
 
-The control law needs the commanded angle (Lee, Ahn & Roh eq 33: theta_e is the integral of q_g - q_c). A sum of sampled
-rates would have a discretisation error. The programme's table therefore holds the angle at each breakpoint in addition
-to the rates, and the kernel integrates the polynomial of the interval in closed form. Cubic rates (pchip) give a
-quartic angle, linear rates a quadratic one, and stepwise rates a piecewise linear one. All are exact to rounding.
+The control law needs the commanded angle (Lee, Ahn & Roh eq. 33: theta_e is the integral of q_g - q_c). A sum of
+sampled rates would have a discretisation error. The programme's table therefore contains the angle at each breakpoint
+in addition to the rates, and the kernel integrates the polynomial of the interval in closed form. Cubic rates (pchip)
+give a quartic angle, linear rates a quadratic angle, and stepwise rates a piecewise linear angle. All are exact to
+rounding.
 """
 
 from __future__ import annotations
@@ -28,14 +29,13 @@ N_AXES = 3
 class GuidanceState:
     """The state of the guidance, per body axis x, y, z (roll, pitch, yaw).
 
-    - `start_rad`: integral of the programme when the computer was started.
-    - `programme_rad`: change of this integral since.
+    - `start_rad`: integral of the programme at the start of the computer.
+    - `programme_rad`: change of this integral since the start.
     - `injected_rad`: integral of the injected rates.
-    - `angle_rad`: commanded angle, the sum of both.
+    - `angle_rad`: commanded angle, the sum of the two.
     - `increment_rad`, `rate_radps`: commanded turn of the body in the last sample, and this turn divided by the sample
       period.
-
-    `attitude`: the same rates as a commanded attitude, the reference of the attitude error.
+    - `attitude`: commanded attitude from the same rates, the reference of the attitude error.
     """
 
     start_rad: Annotated[Array, (3,)]
@@ -56,10 +56,10 @@ def rate_programme(
 ) -> Cubics:
     """Return the programme table of commanded body rates at `time_s` (n,); a single number is a constant rate.
 
-    Columns 0-2: commanded rates about x, y, z (roll, pitch, yaw), rad/s. Columns 3-5: their integrals from the first
-    time to the beginning of each interval, rad. Outside `time_s` the end rates hold. With `step` each rate holds up to
-    the next time, and the last one indefinitely. Raises ValueError as `tables.fit` does, and for columns of different
-    lengths.
+    Columns 0-2 are the commanded rates about x, y, z (roll, pitch, yaw), rad/s. Columns 3-5 are their integrals from
+    the first time to the beginning of each interval, rad. The end rates apply outside `time_s`. With `step`, each rate
+    applies up to the next time, and the last rate indefinitely. Raises ValueError as `tables.fit` does, and for columns
+    of different lengths.
     """
     times = np.atleast_1d(np.asarray(time_s, float))
     rates = np.zeros((len(times), N_AXES))
@@ -87,7 +87,7 @@ def rate_programme(
 def programme_angle(pool: Array, programme: TableRef, time_s: float, axis: int) -> float:
     """Return the integral of the commanded rate about body axis `axis` from the table's first time to `time_s`, rad.
 
-    Outside the table the end rates hold. Without a programme the integral is 0.
+    The end rates apply outside the table. Without a programme, the integral is 0.
     """
     if programme.n_breaks == 0:
         return 0.0
@@ -132,8 +132,8 @@ def advance_guidance(
 ) -> None:
     """Advance the commanded angle of body axis `axis` to `time_s`, the end of a sample of `sample_s`.
 
-    `injected_radps`: a rate, taken as constant over that sample, which adds to the programme, or replaces it with
-    `replaces` = 1. With `on` = 0 the programme's angle is held.
+    `injected_radps` is a rate, constant over that sample, which is added to the programme's rate, or replaces it if
+    `replaces` is not 0. With `on` = 0, the programme's angle is held.
     """
     before_rad = state.programme_rad[axis]
     if on != 0:
@@ -149,9 +149,9 @@ def advance_guidance(
 
 @kernel
 def unroll(state: GuidanceState, sample_s: float) -> None:
-    """Convert the last commanded increments in pitch and yaw from axes that do not roll with the command to body axes.
+    """Transform the commanded increments in pitch and yaw from axes that do not roll to the body axes.
 
-    The body axes are turned by the commanded roll in the middle of the sample.
+    The body axes are rotated by the commanded roll at the middle of the sample.
     """
     roll_rad = state.angle_rad[ROLL] - 0.5 * state.increment_rad[ROLL]
     sine, cosine = math.sin(roll_rad), math.cos(roll_rad)

@@ -1,8 +1,8 @@
-"""The inputs of external flight code in a held flight: those of its own flight, with the deviations of the held one.
+"""The inputs of external flight code in a held flight: those of a free flight plus the deviations in the held flight.
 
-In a held flight, the vehicle does not move along its trajectory. From its clock, mass, speed, attitude and commands,
-flight code could recognise the test. The code therefore receives the inputs of a flight, plus the gyro pulses and the
-readings of the further sensors in the held flight. Without any deviation, these equal the inputs of the flight, bit for
+In a held flight, the vehicle does not move along its trajectory. Flight code could recognise the test from the clock,
+mass, speed, attitude and commands. It therefore receives the recorded inputs of a flight, plus the gyro pulses and the
+readings of the further sensors in the held flight. Without deviations, these equal the inputs of the flight bit for
 bit. With deviations, angles, attitude and attitude error follow from the sum of the pulses as in attitude.py.
 """
 
@@ -21,12 +21,13 @@ from maxq.control.kernel.records import Array, IntArray, Records
 class Superposition:
     """The state of the sum of two flights' inputs; triples are per body axis.
 
-    - `sample_s`, `count_rad`, `method`, `limit_rad`: as of the computer.
+    - `sample_s`, `count_rad`, `method`, `limit_rad`: parameters of the flight computer.
     - `rounded`: 1 if both flights have pulses of `count_rad`.
-    - `blended`: 1 if the rate of the law is not that of the first gyro alone.
-    - `added_counts`, `added_rad`: deviation of the angles that has been added so far.
-    - `total_counts`: pulses since the start, with those added.
-    - `attitude`: attitude from the pulses, with those added.
+    - `blended`: 1 if the law's rate is a blend of several gyros.
+    - `added_counts`, `added_rad`: deviation of the angles added so far.
+    - `total_counts`: pulses since the start, including those added.
+    - `attitude`: attitude from the pulses, including those added.
+    - `commanded`: commanded attitude of the recorded flight.
     """
 
     sample_s: float
@@ -46,13 +47,13 @@ class Superposition:
 def superpose(
     tape: Records, row: int, heard: Records, place: int, share: float, states: Records, outs: Records
 ) -> None:
-    """Write the inputs of a row of a flight's tape plus the deviations in a held flight, `heard[place]`, to `outs[0]`.
+    """Write the inputs of `tape[row]`, plus the deviations `heard[place]` of a held flight, to `outs[0]`.
 
-    `tape`, `heard` and `outs` are of FswInputs, and `states` has one Superposition.
+    `tape`, `heard` and `outs` are arrays of FswInputs; `states` contains one Superposition.
 
-    The angles of the held flight are deviations from its start, and `share` of them is added (0 to 1, for a gradual
-    start). The pulses added are the change of that angle since the previous call. The clock, the commands, the axial
-    specific force, mass, speed and dynamic pressure are those of the tape.
+    The angles of the held flight are deviations from its start. `share` (0 to 1, for a gradual start) is the fraction
+    of them that is added, and the pulses added are the change of this fraction since the previous call. The clock, the
+    commands, the axial specific force, mass, speed and dynamic pressure are those of the tape.
     """
     outs[0] = tape[row]
     flown, held, state, out = tape[row], heard[place], states[0], outs[0]

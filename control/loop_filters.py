@@ -1,12 +1,12 @@
-"""Filters of the individual loops, and the fade-out of the filters of a stage after its separation.
+r"""Filters of the individual loops, and the fade-out of a stage's filters after its separation.
 
     attitude error -> filter -> \
     rate           -> filter ->  law -> bending filter -> command
     acceleration   -> filter -> /
 
-The law's output always has its bending filter (laws/pd.py). The filter of a loop acts on an input of the law. After a
-separation the filters of the previous stage run in parallel with the new ones for `fade_ticks` samples, with the same
-inputs. The output passes over linearly: the new filter has the share k / (n + 1) at sample k of n.
+The law's output always has its bending filter (laws/pd.py). A loop filter acts on one input of the law. After a
+separation, the filters of the previous stage run in parallel with the new filters for `fade_ticks` samples, with the
+same inputs. The output changes over linearly: the new filter has the weight k / (n + 1) at sample k of n.
 """
 
 from __future__ import annotations
@@ -33,10 +33,11 @@ def _no_sections() -> Array:
 class LoopFilters:
     """The parameters of the loop filters.
 
-    `on`: 1 with any filter. `fade_ticks`: samples over which the filters of the previous stage fade out.
-
-    `sections` (3, MAX_SECTIONS, 5): as `Pd.sections`, of ATTITUDE, RATE, ACCELERATION, the same in pitch and yaw.
-    `n_sections` (3,).
+    - `on`: 1 if there is any filter.
+    - `fade_ticks`: number of samples over which the filters of the previous stage fade out.
+    - `sections` (3, MAX_SECTIONS, 5): as `PdRecord.sections`, for ATTITUDE, RATE and ACCELERATION, equal in pitch and
+      yaw.
+    - `n_sections` (3,): number of sections of each filter.
     """
 
     on: int = 0
@@ -47,10 +48,12 @@ class LoopFilters:
 
 @dataclass
 class LoopFilterState:
-    """The state of the loop filters, per loop and gimbal axis. `memory`: memory of the filters.
+    """The state of the loop filters, per loop and gimbal axis.
 
-    `old_sections`, `old_n_sections`, `old_memory`: filters of the previous stage, including the bending filter
-    (OUTPUT). `fading`: samples left.
+    - `memory`: memory of the filters.
+    - `fading`: number of samples to the end of the fade-out.
+    - `old_sections`, `old_n_sections`, `old_memory`: filters of the previous stage, including its bending filter
+      (OUTPUT).
     """
 
     memory: Annotated[Array, (3, 2, MAX_SECTIONS, 2)]
@@ -61,7 +64,7 @@ class LoopFilterState:
 
 
 def make_loop_filters(filters: Sequence[DiscreteFilter | None] = (), fade_ticks: int = 0) -> LoopFilters:
-    """Return the parameters for `filters` of ATTITUDE, RATE, ACCELERATION; None is no filter."""
+    """Return the parameters for `filters` of ATTITUDE, RATE and ACCELERATION, where None is no filter."""
     sections, n_sections = _no_sections(), np.zeros(3, np.int64)
     for loop, discrete in enumerate(filters):
         if discrete is not None:
@@ -71,7 +74,7 @@ def make_loop_filters(filters: Sequence[DiscreteFilter | None] = (), fade_ticks:
 
 @kernel
 def start_loop_filters(state: LoopFilterState) -> None:
-    """Settle the filters at 0, with none fading."""
+    """Clear the memory of the filters, and end any fade-out."""
     state.fading = 0
     for loop in range(3):
         for gimbal in range(2):
@@ -83,7 +86,7 @@ def start_loop_filters(state: LoopFilterState) -> None:
 def keep_filter(
     state: LoopFilterState, loop: int, gimbal: int, sections: Array, n_sections: int, memory: Array
 ) -> None:
-    """Keep the filter of the previous stage, to fade it out."""
+    """Copy the filter of the previous stage, in order to fade it out."""
     state.old_n_sections[loop, gimbal] = n_sections
     for k in range(n_sections):
         for i in range(5):
@@ -95,7 +98,7 @@ def keep_filter(
 def take_over_filter(
     before: LoopFilters, filters: LoopFilters, state: LoopFilterState, loop: int, gimbal: int, value: float
 ) -> None:
-    """Start a stage's own filter of a loop settled at `value`, and keep the previous filter."""
+    """Copy the previous filter of a loop, and settle the stage's own filter at `value`."""
     memory = state.memory[loop, gimbal]
     keep_filter(state, loop, gimbal, before.sections[loop], before.n_sections[loop], memory)
     settle_filter(filters.sections[loop], filters.n_sections[loop], memory, value)
@@ -103,7 +106,7 @@ def take_over_filter(
 
 @kernel
 def faded(filters: LoopFilters, state: LoopFilterState, loop: int, gimbal: int, given: float, out: float) -> float:
-    """Return a filter's output `out`, blended with that of the previous stage's filter for the same input."""
+    """Return a filter's output `out`, blended with that of the previous stage's filter for the same input `given`."""
     if state.fading == 0:
         return out
     n_old, memory = state.old_n_sections[loop, gimbal], state.old_memory[loop, gimbal]
@@ -113,6 +116,6 @@ def faded(filters: LoopFilters, state: LoopFilterState, loop: int, gimbal: int, 
 
 @kernel
 def filtered_input(filters: LoopFilters, state: LoopFilterState, loop: int, gimbal: int, value: float) -> float:
-    """Return the filtered input of the law in place of a measurement."""
+    """Return the input of the law from the measurement `value`, filtered and blended with the fading filter."""
     out = filter_sample(filters.sections[loop], filters.n_sections[loop], state.memory[loop, gimbal], value)
     return faded(filters, state, loop, gimbal, value, out)

@@ -1,16 +1,16 @@
-"""Closed-loop guidance to an orbit outside the atmosphere, and the engine cutoff at it.
+"""Closed-loop guidance to an orbit outside the atmosphere, and the engine cutoff at its energy.
 
 The direction of thrust follows the linear tangent law in a frame fixed in I,
 
     u(t) = unit(x + (a + b s) z + (c + d s) n),    s = t - t_0,
 
-which is optimal in uniform gravity where the position along x is free (Bryson & Ho, Applied Optimal Control, 2.7 and
-4.6). n is the normal of the orbital plane, z points upwards and x along the motion, at the predicted end of the burn.
-Once per cycle the four numbers and the time to go are computed from the navigated position and velocity, by Newton's
-method on a numerical prediction of the burn. The conditions at its end are radius, speed and vertical speed of the
-perigee, and zero position and speed across the plane. Gravitation is that of a flattened Earth (J2). The thrust is
-constant, with the acceleration measured over the last cycle. In the last seconds, when the position can no longer be
-steered, the direction continues linearly. The engine is cut off when the orbit's energy is reached.
+which is optimal in uniform gravity if the position along x is free (Bryson & Ho, Applied Optimal Control, 2.7 and 4.6).
+The vector n is the normal of the orbital plane. At the predicted end of the burn, z points upwards and x along the
+motion. Once per cycle, the four numbers and the time to go are computed from the navigated position and velocity, by
+Newton's method on a numerical prediction of the burn. The conditions at its end are the radius, speed and vertical
+speed of the target apsis, and zero position and speed across the plane. Gravitation is that of a flattened Earth (J2).
+The thrust is constant, with the acceleration measured over the last cycle. In the last seconds, when the position can
+no longer be controlled, the numbers are no longer updated. The engine is cut off when the orbit's energy is reached.
 
 The caller supplies the navigated position and velocity (`OrbitGuidanceState`); the simulator supplies its own, without
 error.
@@ -29,18 +29,21 @@ from maxq.control.kernel.records import Array
 WAITING, SEARCHING, STEERING, ENDING, CUT_OFF = range(5)
 """The phases of the guidance.
 
-WAITING: before `start_s`. SEARCHING: no solution yet, on the programme. STEERING. ENDING: linear direction before
-cutoff. CUT_OFF: engine cut off.
+- WAITING: before `start_s`.
+- SEARCHING: the programme steers until there is a solution.
+- STEERING: the solution steers.
+- ENDING: the last solution steers until the cutoff.
+- CUT_OFF: the engine is cut off.
 """
 N = 5  # number of unknowns (a, b, c, d, time to go) and of conditions
 STEPS = 24  # steps of the prediction
 ENDING_s = 8.0
 TRIALS, FIRST_TRIALS = 3, 40
 THRUSTING_mps2 = 1.0
-STEADY = 0.1  # largest relative change of a steady acceleration in a cycle
-SLOPE_s = 100.0  # unknowns are a, SLOPE_s b, c, SLOPE_s d, and time over SLOPE_s: all of order one
+STEADY = 0.1  # largest relative change of a steady acceleration between two cycles
+SLOPE_s = 100.0  # scale of the unknowns a, SLOPE_s b, c, SLOPE_s d and time to go / SLOPE_s, which are all of order one
 LONGEST_STEP = 0.3
-CLOSE = 1e-3  # in km and m/s; residuals up to FAIR are accepted
+CLOSE = 1e-3  # residual (km, m/s) at which the iteration ends; a solution is accepted below FAIR
 FAIR = 1.0
 
 
@@ -48,13 +51,15 @@ FAIR = 1.0
 class OrbitGuidance:
     """The parameters of the orbit guidance.
 
-    - `on`: 0 without it.
-    - `start_s`: vehicle clock.
+    - `on`: 0 if the guidance is not used.
+    - `start_s`: start of the guidance on the vehicle clock.
+    - `cycle_s`: time between two solutions.
     - `rate_limit_radps`: limit of the commanded attitude rate.
-    - `radius_m`, `speed_mps`: targets at cutoff, where the vertical speed is 0: at perigee, or at apogee.
+    - `radius_m`, `speed_mps`: targets at cutoff, where the vertical speed is 0, at the perigee or the apogee.
     - `semimajor_m`: semi-major axis of the orbit.
-    - `cos_inclination`: a magnitude above 1 selects the plane of flight at the start.
+    - `cos_inclination`: cosine of the inclination; a magnitude above 1 selects the plane of flight at the start.
     - `exhaust_mps`: effective exhaust speed of the engine that is cut off.
+    - `mu_m3ps2`, `j2`, `j2_radius_m`: gravitational parameter, J2, and the radius to which J2 refers.
     """
 
     on: int = 0
@@ -75,14 +80,16 @@ class OrbitGuidance:
 class OrbitGuidanceState:
     """The state of the orbit guidance.
 
-    `position_m`, `velocity_mps`: navigated, in I, at the end of the sample. `start_q_BI`: attitude at the start.
-
+    - `position_m`, `velocity_mps`: navigated, in I, at the end of the sample.
+    - `start_q_BI`: attitude at the start of the computer.
+    - `next_s`: time of the next cycle.
+    - `last_s`, `last_position_m`, `last_velocity_mps`: values at the last cycle.
     - `acceleration_mps2`: thrust acceleration at `last_s`.
-    - `last_*`: values of the last cycle.
     - `axes`: x, n, z in I.
-    - `unknowns`: scaled as in the module's text.
-    - `solved_s`, `begun_s`: time of the last solution, and t_0.
-    - `cut_off_s`: time of the engine cutoff; inf as long as it is unknown.
+    - `begun_s`, `solved_s`: t_0, and the time of the last solution.
+    - `unknowns`: a, b, c, d and time to go, scaled by `SLOPE_s`.
+    - `cut_off_s`: time of the engine cutoff; inf until it is known.
+    - `trial`, `missed`, `rows`: scratch memory of the solver.
     """
 
     position_m: Annotated[Array, (3,)]
@@ -116,7 +123,7 @@ def start_orbit_guidance(state: OrbitGuidanceState) -> None:
 
 @kernel
 def gravitation(g: OrbitGuidance, r: vec.Vector) -> vec.Vector:
-    """Return the gravitation of a flattened Earth (Vallado, eq. 8-30), m/s2."""
+    """Return the gravitation of a flattened Earth at `r` (m) in I, m/s2 (Vallado, eq. 8-30)."""
     radius = vec.norm(r)
     k = -g.mu_m3ps2 / radius**3
     bulge = 1.5 * g.j2 * (g.j2_radius_m / radius) ** 2
@@ -127,7 +134,7 @@ def gravitation(g: OrbitGuidance, r: vec.Vector) -> vec.Vector:
 
 @kernel
 def direction(state: OrbitGuidanceState, unknowns: Array, time_s: float) -> vec.Vector:
-    """Return the direction of thrust, in I."""
+    """Return the unit vector of the direction of thrust at `time_s`, in I."""
     s = (time_s - state.begun_s) / SLOPE_s
     up, aside = unknowns[0] + unknowns[1] * s, unknowns[2] + unknowns[3] * s
     x, n, z = vec.vector_at(state.axes, 0), vec.vector_at(state.axes, 3), vec.vector_at(state.axes, 6)
@@ -137,7 +144,10 @@ def direction(state: OrbitGuidanceState, unknowns: Array, time_s: float) -> vec.
 
 @kernel
 def thrust_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> float:
-    """Return the acceleration from constant thrust and decreasing mass, from the last measured value."""
+    """Return the thrust acceleration at `time_s` for constant thrust and decreasing mass, m/s2.
+
+    It is extrapolated from the last measured value.
+    """
     left = 1.0 - state.acceleration_mps2 * (time_s - state.last_s) / g.exhaust_mps
     return state.acceleration_mps2 / max(left, 0.01)
 
@@ -152,9 +162,9 @@ def acceleration(
 
 @routine
 def predict(g: OrbitGuidance, state: OrbitGuidanceState, unknowns: Array, time_s: float) -> None:
-    """Predict position and velocity at the end of the burn, by the classical Runge-Kutta method.
+    """Predict position and velocity at the end of the burn by the classical Runge-Kutta method.
 
-    Writes them into `state.end`, and the residuals (km, m/s) into `state.missed`: radius, vertical speed, speed,
+    Writes them into `state.end`, and the residuals (km, m/s) into `state.missed`: radius, vertical speed, speed, and
     position and speed across the plane.
     """
     r, v = vec.vector_at(state.position_m, 0), vec.vector_at(state.velocity_mps, 0)
@@ -190,9 +200,9 @@ def largest_miss(state: OrbitGuidanceState) -> float:
 
 @routine
 def solve(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float, trials: int) -> float:
-    """Solve for `state.unknowns` by Newton's method and return the final residual.
+    """Solve for `state.unknowns` by Newton's method with at most `trials` steps, and return the largest residual.
 
-    Steps are bounded, because the first guess can be far off.
+    The steps are bounded, because the first guess may be far from the solution.
     """
     x, rows = state.unknowns, state.rows
     for _ in range(trials):
@@ -227,7 +237,8 @@ def solve(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float, trials: in
 def solve_rows(rows: Array) -> int:
     """Solve N equations by Gauss-Jordan elimination with row pivoting.
 
-    The last column holds the right-hand side and becomes the solution. Returns 0 if the equations are singular.
+    The last column contains the right-hand side and becomes the solution. Returns 0 if the equations are singular,
+    otherwise 1.
     """
     w = N + 1
     for k in range(N):
@@ -252,7 +263,7 @@ def solve_rows(rows: Array) -> int:
 
 @routine
 def choose_axes(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> None:
-    """Choose the plane and the frame, and a first guess: a level burn over the missing speed."""
+    """Choose the orbital plane, the frame and a first guess: a horizontal burn over the missing speed."""
     r, v = vec.vector_at(state.position_m, 0), vec.vector_at(state.velocity_mps, 0)
     radius, momentum = vec.norm(r), vec.cross(r, v)
     n = vec.scaled(1.0 / vec.norm(momentum), momentum)
@@ -282,9 +293,9 @@ def choose_axes(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> N
 
 @routine
 def measure_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> int:
-    """Measure the thrust acceleration, and return 1 if the thrust was steady.
+    """Measure the thrust acceleration, and return 1 if the thrust is on and steady, otherwise 0.
 
-    It follows from the velocity gained beyond gravitation since the last cycle.
+    The mean acceleration without gravitation since the last cycle is extrapolated to `time_s`.
     """
     r, v, since_s = vec.vector_at(state.position_m, 0), vec.vector_at(state.velocity_mps, 0), time_s - state.last_s
     known = since_s < 2.5 * g.cycle_s
@@ -304,9 +315,9 @@ def measure_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: fl
 
 @routine
 def advance_orbit_guidance(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float, sample_s: float) -> int:
-    """Solve where a cycle is due at the end of a sample, and cut off the engine when its time has come.
+    """Solve if a cycle is due at the end of a sample, and command the cutoff when it is within 1.5 samples.
 
-    Returns 1 where `steer` is to turn the commanded attitude instead of the programme.
+    Returns 1 if `steer` determines the commanded attitude, and 0 if the programme does.
     """
     if time_s < g.start_s:
         return 0
@@ -344,7 +355,7 @@ def steer(
 ) -> tuple[float, float]:
     """Return the turn of the commanded attitude `q_BR` about its y and z in this sample, rad.
 
-    The turn is towards the direction of thrust.
+    The turn is towards the direction of thrust, and zero after the cutoff.
     """
     if state.phase == CUT_OFF:
         return 0.0, 0.0
@@ -353,7 +364,7 @@ def steer(
 
 @kernel
 def level(state: OrbitGuidanceState) -> vec.Vector:
-    """Return the direction of the motion without its vertical part, in I."""
+    """Return the unit vector of the horizontal direction of motion, in I."""
     r, v = vec.vector_at(state.position_m, 0), vec.vector_at(state.velocity_mps, 0)
     u = vec.cross(vec.cross(r, v), r)
     return vec.scaled(1.0 / max(vec.norm(u), 1e-300), u)
@@ -363,7 +374,10 @@ def level(state: OrbitGuidanceState) -> vec.Vector:
 def turn_towards(
     g: OrbitGuidance, state: OrbitGuidanceState, u: vec.Vector, q_BR: Array, sample_s: float
 ) -> tuple[float, float]:
-    """Return the turn of `q_BR` about its y and z towards the direction `u` (I) in one sample, rad."""
+    """Return the turn of `q_BR` about its y and z towards the direction `u` (in I) in one sample, rad.
+
+    The angle is bounded by the limit of the commanded attitude rate.
+    """
     start = vec.rotation_from_quaternion(
         state.start_q_BI[0], state.start_q_BI[1], state.start_q_BI[2], state.start_q_BI[3]
     )

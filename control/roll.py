@@ -15,8 +15,8 @@ from maxq.control.kernel.jit import kernel
 class Roll:
     """The parameters of roll control.
 
-    Thrusters switch on at |s| > dead_band_rad and off at |s| < dead_band_rad - hysteresis_rad. `k_rate_s`: weight of
-    the rate, s. `minimum_on_ticks`: shortest firing, samples.
+    Thrusters switch on at |s| > dead_band_rad and off at |s| <= dead_band_rad - hysteresis_rad. `k_rate_s`: weight of
+    the rate in s. `minimum_on_ticks`: shortest firing, samples.
     """
 
     k_rate_s: float
@@ -29,10 +29,10 @@ class Roll:
 class RollState:
     """The state of roll control.
 
-    - `switching_rad`: s.
-    - `demand`: sign of the torque about body x, -1, 0 or +1.
-    - `ticks_on`: samples of the current firing so far.
-    - `firings`: firings begun.
+    - `switching_rad`: switching function s.
+    - `demand`: sign of the demanded torque about body x, -1, 0 or +1.
+    - `ticks_on`: duration of the current firing, samples.
+    - `firings`: number of firings begun.
     """
 
     switching_rad: float
@@ -46,7 +46,7 @@ def make_roll(
 ) -> Roll:
     """Return the roll parameters, with the minimum on time rounded up to whole samples.
 
-    Raises ValueError that names key, value and allowed values.
+    Raises ValueError with key, value and allowed values.
     """
     for key, value, holds, allowed in (
         ("k_rate_s", k_rate_s, k_rate_s >= 0, "a finite number from 0"),
@@ -63,10 +63,10 @@ def make_roll(
 
 @kernel
 def update_roll(roll: Roll, state: RollState, phi_e_rad: float, p_radps: float) -> None:
-    """Update the demand for the coming sample from roll error and rate of the last one.
+    """Update the demand for the next sample from the roll error and rate of the last sample.
 
     A positive s demands a negative torque. A firing continues in its direction until its minimum on time has passed,
-    for any s.
+    independently of s.
     """
     s = phi_e_rad + roll.k_rate_s * p_radps
     state.switching_rad = s
@@ -91,14 +91,14 @@ def update_roll(roll: Roll, state: RollState, phi_e_rad: float, p_radps: float) 
 
 @kernel
 def silence_roll(state: RollState) -> None:
-    """Switch the thrusters off at once, with roll control."""
+    """Switch the thrusters off at once."""
     state.demand = 0
     state.ticks_on = 0
 
 
 @kernel
 def start_roll(state: RollState) -> None:
-    """Set the thrusters off, with no firings."""
+    """Set the thrusters off and the number of firings to 0."""
     state.switching_rad = 0.0
     state.firings = 0
     silence_roll(state)

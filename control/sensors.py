@@ -1,10 +1,10 @@
-"""Sensors beyond the first gyro, in the computer: counting, latency, lost samples, and the blended rate of the law.
+"""Sensors after the first gyro, in the computer: counting, latency, lost samples, and the blended rate of the law.
 
     q_g = w_0 q_0 + sum of w_k q_k
 
-q_g blends the first gyro and further rate gyros, in pitch and yaw separately. The weights sum to 1. A rigid body turns
-alike everywhere, so the weights change only the bending content of the law's input. The attitude is that of the first
-gyro.
+q_g blends the first gyro and further rate gyros, in pitch and yaw separately. The weights sum to 1. All points of a
+rigid body have the same rate, so the weights change only the bending content of the law's input. The attitude is that
+of the first gyro.
 """
 
 from __future__ import annotations
@@ -23,11 +23,13 @@ from maxq.control.kernel.records import Array, IntArray
 
 @dataclass(frozen=True)
 class Sensors:
-    """The parameters of the sensors. `accelerometer`: number of the last sensor if it is an accelerometer; -1 without.
+    """The parameters of the sensors.
 
+    - `count`: number of sensors.
+    - `accelerometer`: index of the accelerometer, which is the last sensor; -1 without an accelerometer.
     - `converter`: angle (rad) or velocity (m/s) per pulse.
-    - `latency`: samples.
-    - `blend` (2, sensors): weights w_0, w_1 and so on in pitch and yaw.
+    - `latency`: delay of the output, samples.
+    - `blend` (2, sensors): weights w_0, w_1 and so on, in pitch and yaw.
     """
 
     count: int
@@ -41,11 +43,11 @@ class Sensors:
 class SensorState:
     """The state of the sensors.
 
-    `increment` (sensors, 3): output over the sample, written by the caller. `lost`: 1 where the output did not arrive.
-
-    - `past`: counts of the last samples, a ring.
+    - `increment` (sensors, 3): output over the sample, written by the caller.
+    - `lost`: 1 if the output did not arrive.
+    - `past`: increments of the last samples, a ring buffer.
     - `delta` (sensors, 3): increments used by the computer, rad or m/s.
-    - `value`: their mean over the sample, rad/s or m/s2.
+    - `value` (sensors, 3): their mean over the sample, rad/s or m/s2.
     """
 
     converter: Annotated[tuple[ConverterState, ...], (MAX_SENSORS,)]
@@ -64,11 +66,13 @@ def make_sensors(
 ) -> Sensors:
     """Return the parameters of the sensors.
 
-    `counts`: angle or velocity per pulse of each sensor. `latency`: delay of each sensor, samples. `accelerometer`:
-    True if the last sensor is an accelerometer. `blend`: weights in pitch and in yaw, by default (1, 0, ...).
+    - `counts`: angle (rad) or velocity (m/s) per pulse of each sensor.
+    - `latency`: delay of each sensor, samples.
+    - `accelerometer`: True if the last sensor is an accelerometer.
+    - `blend`: weights in pitch and in yaw, by default (1, 0, ...).
 
-    Raises ValueError if weights do not sum to 1, if their number is not that of the rate gyros, and as `make_converter`
-    does.
+    Raises ValueError if weights do not sum to 1, if their number differs from that of the rate gyros, and as
+    `make_converter` does.
     """
     n, gyros = len(counts), len(counts) - int(accelerometer) + 1
     late, weights = np.zeros(MAX_SENSORS, np.int64), np.zeros((2, MAX_SENSORS))
@@ -97,9 +101,9 @@ def start_sensors(sensors: Sensors, state: SensorState) -> None:
 
 @routine
 def read_sensors(sensors: Sensors, state: SensorState, tick: int, sample_s: float, limit: float) -> int:
-    """Count the increments of a sample, and return the number of rejected ones: not finite, or beyond `limit`.
+    """Count the increments of a sample, and return the number of rejected increments: not finite, or beyond `limit`.
 
-    Where a sample is lost, the previous value stays in force, and the sample's counts are lost too.
+    If a sample is lost, the previous value remains in force, and the counts of the lost sample are not recovered.
     """
     refused, slots = 0, MAX_LATENCY + 1
     for k in range(sensors.count):
@@ -118,7 +122,7 @@ def read_sensors(sensors: Sensors, state: SensorState, tick: int, sample_s: floa
 
 @kernel
 def blended_rate(sensors: Sensors, state: SensorState, gimbal: int, first_radps: float) -> float:
-    """Return the rate of the law about the axis of a gimbal (0 pitch, 1 yaw), rad/s, from all gyros."""
+    """Return the law's rate about the axis of a gimbal (0 pitch, 1 yaw), blended from all gyros, rad/s."""
     rate_radps: float = sensors.blend[gimbal, 0] * first_radps
     for k in range(MAX_SENSORS - 1):
         if k < sensors.count and k != sensors.accelerometer:

@@ -1,7 +1,7 @@
-"""Changes to Numba's compilation of kernels.
+"""Adaptation of Numba's compilation pipeline to kernels.
 
-There are fewer passes, one linking and optimisation for each entry with all its callees, and parallel processes for
-large routines.
+The pipeline has fewer passes than Numba's. An entry is linked and optimised once with all its callees, and parallel
+processes compile large routines.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ from maxq.control.kernel import progress
 from maxq.control.kernel.kept_code import is_own, keep_routine, kept_routine, load_objects
 from maxq.control.kernel.machine import cores
 
-_REPORT_S = 0.2  # interval of the reports while this process waits for another
+_REPORT_S = 0.2  # interval of progress reports while this process waits for another, s
 
 
 class _KernelCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
-    """The translated code of one kernel, for the entry that will contain it; Python cannot call it.
+    """The LLVM code of one kernel, to be linked into the entry that calls it; Python cannot call it.
 
-    Numba would link each function with all its callees, optimise the result and emit machine code, at every level of
-    the calls.
+    By default, Numba links each function with all its callees, optimises the result and emits machine code at every
+    level of the calls.
     """
 
     @property
@@ -56,10 +56,10 @@ class _KernelCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
         return self
 
     def set_env(self, name: str, environment: object) -> None:
-        """Do nothing: only a wrapper for Python reads a function's environment."""
+        """Do nothing, because only a Python wrapper reads a function's environment."""
 
     def get_pointer_to_function(self, name: str) -> int:
-        return 0  # as Numba's own, where there is no such function
+        return 0  # Numba returns 0 for a missing function
 
     def finalize(self) -> None:
         self._finalize_dynamic_globals()
@@ -70,7 +70,7 @@ class _KernelCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
         return super()._get_module_for_linking()
 
     def _get_module_for_linking(self) -> Any:
-        """Return the LLVM module of the kernel with all its callees, for functions that only Numba knows."""
+        """Return the LLVM module of the kernel with all its callees, for functions that Numba compiles itself."""
         whole = self.by_itself().clone()
         _link_into(whole, self._linking_libraries)
         return whole
@@ -79,7 +79,7 @@ class _KernelCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
 class _EntryCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
     """The code of an entry with all its direct and indirect callees, linked and optimised once.
 
-    Routines compiled by another process are excluded: `objects` holds their object files by name.
+    Routines compiled by another process are excluded. `objects` maps their names to their object files.
     """
 
     objects: dict[str, bytes]
@@ -102,9 +102,9 @@ class _EntryCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
 
 
 def _link_into(module: Any, libraries: list[Any], apart: bool = False) -> list[_LateCode]:
-    """Link the callees of a module into it, callers first, because LLVM links only symbols that are already referenced.
+    """Link the callees into `module`, callers first, because LLVM links only symbols that are already referenced.
 
-    `apart`: leave out the routines that another process compiles, and return them.
+    With `apart`, routines that another process compiles are not linked. Returns those routines.
     """
     backwards: dict[int, Any] = {}
 
@@ -136,15 +136,15 @@ def _mangled(kind: str, name: str) -> tuple[str, tuple[int]]:
 class _AdaptedNumba:
     """The changes to Numba that apply while a kernel compiles, under Numba's own compilation lock.
 
-    They do not affect other code of the process.
+    Other code of the process is not affected.
 
-    - `SLP_VECTORIZE`: LLVM joins adjacent equal operations into vector instructions. The results are identical bit by
-      bit. Measured saving: one twentieth of a flight's time.
-    - `get_call_type`: the type of a call is looked up once for the same arguments. Numba tries its templates again at
+    - `SLP_VECTORIZE`: LLVM joins adjacent equal operations into vector instructions. The results are bit-identical.
+      Measured saving: one twentieth of a flight's time.
+    - `get_call_type`: the type of a call is cached by its arguments. Without the cache, Numba tries all templates at
       every addition. Measured saving: one fifth of a compilation.
-    - `mangling_args`: names in machine code contain a hash of a record's layout. Numba writes a number that counts the
-      records of a process, so that code for other layouts, kept by other processes, can have the same name. For a
-      tuple with records Numba writes all their fields, 17,000 characters.
+    - `mangling_args`: symbols in machine code contain a hash of a record's layout. Numba uses a counter of the records
+      in a process instead, so code that other processes stored for other layouts can have the same name. For a tuple
+      with records, Numba writes all their fields, which takes 17,000 characters.
     """
 
     def __init__(self) -> None:
@@ -153,7 +153,7 @@ class _AdaptedNumba:
 
     @staticmethod
     def _changes() -> tuple[tuple[Any, str, Any], ...]:
-        """Return owner, name and value of each change; lookups of calls are cached until the change is undone."""
+        """Return owner, name and value of each change; call types are cached until the change is undone."""
         find_type, known = BaseFunction.get_call_type, dict[tuple[int, Any, Any], Any]()
 
         def known_type(function: Any, context: Any, args: Any, named: Any) -> Any:
@@ -161,7 +161,8 @@ class _AdaptedNumba:
                 return find_type(function, context, args, named)
             key = id(function), context, args
             if key not in known:
-                known[key] = function, find_type(function, context, args, named)  # with what the identity belongs to
+                # The entry contains `function`, so that its id stays unique.
+                known[key] = function, find_type(function, context, args, named)
             return known[key][1]
 
         layout = property(lambda record: _mangled("Record", record.name))
@@ -205,14 +206,14 @@ _PASSES = (
 )
 """The passes of Numba that kernels need.
 
-Left out are those for closures, `with`, exceptions, array expressions, parallel loops, and inlining on this level.
+The passes for closures, `with`, exceptions, array expressions, parallel loops and inlining of Python code are omitted.
 """
 
 
 class EntryCompiler(CompilerBase):  # type: ignore[misc]  # Numba has no types
-    """The compiler of Numba for other target code, without garbage collection.
+    """A Numba compiler that creates code of class `code` and suspends garbage collection.
 
-    Garbage collection takes a tenth of the time, and there is almost no garbage.
+    Garbage collection takes a tenth of the compilation time and frees almost nothing.
     """
 
     code: type[JITCodeLibrary] = _EntryCode
@@ -241,7 +242,7 @@ class EntryCompiler(CompilerBase):  # type: ignore[misc]  # Numba has no types
 
     @contextlib.contextmanager
     def _counted(self, function: Any) -> Iterator[None]:
-        """Count the function as a part of the compilation in progress, or as one of its own."""
+        """Count the function as part of the compilation in progress, or as a separate compilation."""
         with progress.compilation("", function), progress.current().part(function):
             yield
 
@@ -275,7 +276,7 @@ class RareCompiler(DisjointCompiler):
 
 
 class _LateCode(_KernelCode):
-    """The code of a routine that a separate process compiles; the entry waits for it last."""
+    """The code of a routine that a separate process compiles; the entry collects it last."""
 
     def __init__(self, compiler: BesideCompiler, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
@@ -285,7 +286,7 @@ class _LateCode(_KernelCode):
             progress.current().loaded(compiler.function)
             return
         pipe, write = os.pipe()
-        with warnings.catch_warnings():  # from Python 3.12, about locks of other threads: none is needed here
+        with warnings.catch_warnings():  # Python 3.12 warns of locks held by other threads; the child takes none
             warnings.simplefilter("ignore", DeprecationWarning)
             self._child = os.fork()
         if self._child == 0:
@@ -309,9 +310,9 @@ class _LateCode(_KernelCode):
 
 
 class BesideCompiler(DisjointCompiler):
-    """A compiler in a parallel process, while this process compiles the caller.
+    """A compiler that runs in a parallel process while this process compiles the caller.
 
-    A routine that returns nothing is not needed before the entry is loaded.
+    It is restricted to routines without a return value, which the caller needs only when the entry is loaded.
     """
 
     allowed = sys.platform == "linux" and cores() > 1
@@ -320,7 +321,7 @@ class BesideCompiler(DisjointCompiler):
         if not self.allowed or threading.current_thread() is not threading.main_thread():
             return self._part_here()
         state, function = self.state, self.state.func_id
-        state.flags.noalias = True  # a part of the name; so is a number, without which nothing is kept by the name
+        state.flags.noalias = True  # part of the name, as is the number: routines are stored by name
         known = (*map(str, state.args), *state.targetctx.codegen().magic_tuple(), numba.__version__)
         number = hashlib.sha256(repr(known).encode()).hexdigest()[:16] if self.is_kept else secrets.token_hex(8)
         described = FunctionDescriptor(
@@ -341,7 +342,7 @@ class BesideCompiler(DisjointCompiler):
         )
         try:
             library = _LateCode(self, state.targetctx.codegen(), described.llvm_func_name)
-        except OSError:  # no further process, or no pipe, to be had
+        except OSError:  # no further process or no pipe is available
             return self._part_here()
         compiled = object()
         state.targetctx.insert_user_function(compiled, described, [library])
@@ -371,10 +372,10 @@ class BesideCompiler(DisjointCompiler):
             return self.here()
 
     def module_here(self, name: str) -> Any:
-        """Return the LLVM module of the routine, called `name`, with all its callees.
+        """Return the LLVM module of the routine with all its callees, under the symbol `name`.
 
-        All other symbols in the module are unnamed in the machine code. The loader takes equal names in several
-        objects, even local ones, for one function, and the function of another object may have other arguments.
+        All other symbols of the module are made private. The loader takes equal names in several objects, even local
+        names, for one function, and the function of another object may have other arguments.
         """
         result = self.here()
         progress.current().translated()
@@ -397,7 +398,7 @@ class BesideCompiler(DisjointCompiler):
         return code
 
     def compile_and_leave(self, name: str, write: int) -> None:
-        """Write the routine's machine code in the other process, and end that process."""
+        """Write the routine's machine code to the pipe `write` in the child process, and end that process."""
         status = 1
         try:
             BesideCompiler.allowed = False

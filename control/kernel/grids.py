@@ -1,13 +1,13 @@
-"""Tables over up to three variables, in the same pool as the tables over one variable (tables.py).
+"""Tables of up to three variables, in the same pool as the tables of one variable (tables.py).
 
-Interpolation is multilinear, or C1 by Hermite polynomials in every variable. Wind-tunnel databases usually specify
-multilinear interpolation. Its slope jumps at every breakpoint. Hence a linear model at a breakpoint, such as a trim at
-zero angle of attack, is one-sided, and a Runge-Kutta step across a breakpoint loses its order. The C1 interpolation has
-slopes by the same monotone rule as the tables over one variable (Fritsch & Butland 1984), and mixed derivatives by
-second-order differences of these slopes. Outside the grid the values at its edge hold, separately in each variable.
+The interpolation is multilinear or C1. Multilinear interpolation is usual for wind-tunnel databases, but its slope
+jumps at every breakpoint. Hence a linear model at a breakpoint, such as a trim at zero angle of attack, is one-sided,
+and a Runge-Kutta step across a breakpoint loses its order. The C1 interpolation uses Hermite polynomials in every
+variable. Its slopes follow the monotone rule of the tables of one variable (Fritsch & Butland 1984), and its mixed
+derivatives are second-order differences of these slopes. Outside the grid, each variable is clamped to its range.
 
-In the pool a grid is  breaks_1, breaks_2, breaks_3  then  nodes[n_1][n_2][n_3][term][column],  where the terms of a
-node are its value alone (multilinear), or value, d/d1, d/d2, d2/d1d2, d/d3, ... (C1; bit i of the term: variable i).
+In the pool a grid is  breaks_1, breaks_2, breaks_3  then  nodes[n_1][n_2][n_3][term][column].  The terms of a node are
+its value alone (multilinear), or value, d/d1, d/d2, d2/d1d2, d/d3, ... (C1; bit i of the term: variable i).
 """
 
 from __future__ import annotations
@@ -38,9 +38,10 @@ class GridRefs:
 
 @dataclass(frozen=True)
 class Grid:
-    """A grid.
+    """A table of values over up to three variables.
 
-    `breaks`: three arrays, with a single number where there is no variable. `nodes` (n_1, n_2, n_3, terms, columns).
+    `breaks`: breakpoints of the three variables, a single number for an unused variable. `nodes` (n_1, n_2, n_3, terms,
+    columns): values and derivatives at the breakpoints.
     """
 
     breaks: tuple[Array, Array, Array]
@@ -64,7 +65,7 @@ class Grid:
         return total
 
     def _weights(self, breaks: Array, x: float, derivative: int) -> tuple[int, Array]:
-        """Return the interval, and the weights of value (2) and slope (2) at its ends."""
+        """Return the index of the interval, and the weights of the values (2) and slopes (2) at its ends."""
         if len(breaks) == 1:
             return 0, np.array([0.0 if derivative else 1.0, 0.0, 0.0, 0.0])
         k = int(np.clip(np.searchsorted(breaks, x, side="right") - 1, 0, len(breaks) - 2))
@@ -84,9 +85,10 @@ class Grid:
 def fit_grid(
     breaks: Sequence[Array], values: Array, smooth: bool, extensions: Sequence[Extension], parity: Array
 ) -> Grid:
-    """Return the grid with `values` (n_1, n_2, n_3, columns) at three strictly increasing lists of breakpoints.
+    """Return the grid with `values` (n_1, n_2, n_3, columns) at three strictly increasing arrays of breakpoints.
 
-    `parity` (columns,): 1 where a mirrored variable keeps the value, -1 where it changes the sign.
+    `smooth` selects the C1 interpolation. `parity` (columns,) is 1 for a column that keeps its sign when a variable is
+    mirrored, and -1 for a column that changes it.
     """
     terms = [values]
     for axis in range(3) if smooth else ():
@@ -121,7 +123,7 @@ def _slopes(x: Array, y: Array, axis: int, extension: Extension, parity: Array, 
 
 
 def grid_in(pool: Array, ref: IntArray) -> Grid:
-    """Return the grid at a row of `GridRefs.at`, as views of the pool."""
+    """Return the grid described by `ref`, a row of `GridRefs.at`, as views of the pool."""
     offset, *points, columns, terms = (int(number) for number in ref)
     ends = np.cumsum([offset, *points])
     breaks = [pool[low:high] for low, high in pairwise(ends)]
@@ -136,7 +138,7 @@ Weights = tuple[float, float, float, float]
 def interpolate_grid(
     pool: Array, refs: GridRefs, which: int, x_1: float, x_2: float, x_3: float, out: Array, at: int
 ) -> None:
-    """Write all columns of a grid at (x_1, x_2, x_3) into `out[at:]`."""
+    """Write all columns of grid `which` at (x_1, x_2, x_3) into `out[at:]`."""
     ref = refs.at
     offset, n_1, n_2, n_3 = ref[which, OFFSET], ref[which, N_1], ref[which, N_2], ref[which, N_3]
     columns, terms = ref[which, N_COLUMNS], ref[which, N_TERMS]
@@ -146,7 +148,7 @@ def interpolate_grid(
     first = offset + n_1 + n_2 + n_3
     for c in range(columns):
         out[at + c] = 0.0
-    corners = 8  # and as many terms: variables that do not exist are the last ones
+    corners = 8  # also the number of terms: unused variables come last
     if n_3 == 1:
         corners = 4 if n_2 > 1 else 2
     for corner in range(corners):
@@ -161,9 +163,9 @@ def interpolate_grid(
 
 @kernel
 def _located(pool: Array, first: int, n: int, terms: int, x: float) -> tuple[int, Weights]:
-    """Return the interval of `x`, and the weights of value (2) and slope (2) at its ends.
+    """Return the interval of `x`, and the weights of the values (2) and slopes (2) at its ends.
 
-    The weights are zero for an end that does not exist.
+    With a single breakpoint, the weight of its value is 1 and all others are zero.
     """
     if n == 1:
         return 0, (1.0, 0.0, 0.0, 0.0)

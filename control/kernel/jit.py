@@ -1,8 +1,7 @@
-"""The definition of a kernel.
+"""Decorators that compile kernels.
 
-A kernel is a plain Python function over floats, flat arrays and records. `@kernel` marks the small functions,
-`@routine` the large ones, and `@entry` the few that Python calls. The machine code of entries is kept on disk
-(kept_code.py).
+A kernel is a plain Python function of floats, flat arrays and records. `@kernel` marks small functions, `@routine`
+large functions, and `@entry` the few that Python calls. The machine code of entries is stored on disk (kept_code.py).
 
 `NUMBA_DISABLE_JIT=1` runs the same functions as plain Python.
 """
@@ -31,17 +30,17 @@ Array = TypeVar("Array", NDArray[np.float64], NDArray[np.int64])
 
 
 def kernel(function: Function) -> Function:
-    """Compile `function` into the kernel that calls it (nogil, IEEE arithmetic as written: no fastmath).
+    """Compile `function` as an inlined part of its callers (nogil, IEEE arithmetic as written, no fastmath).
 
-    Division by zero gives inf or nan as in C (`error_model="numpy"`), and the flight loop checks the state for them.
-    The kernel has no cache of its own, because its machine code is part of the entry that calls it. LLVM is instructed
-    to inline it: measured, passing arguments took a fifth of a flight's time.
+    Division by zero gives inf or nan as in C (`error_model="numpy"`); the flight loop checks the state for them. A
+    kernel is not cached, because its machine code is part of the entry that calls it. LLVM is instructed to inline it,
+    because passing arguments took a fifth of a flight's time in measurements.
     """
     return _for_kernels(function, forceinline=True)
 
 
 def formula(function: Function) -> Function:
-    """Compile as `kernel` does, for index and size arithmetic and single vectors.
+    """Compile as `kernel` does, for index and size arithmetic and for operations on single vectors.
 
     Python calls the plain function, which is faster than loading machine code.
     """
@@ -49,17 +48,17 @@ def formula(function: Function) -> Function:
 
 
 def routine(function: Function) -> Function:
-    """Compile as `kernel` does, once, for large functions called from several places.
+    """Compile as `kernel` does, without inlining, for large functions called from several places.
 
-    `forceinline=False` is explicit, because Numba passes `forceinline` on from a kernel to its callees.
+    `forceinline=False` is explicit, because Numba otherwise passes the `forceinline` of a kernel on to its callees.
     """
     return _for_kernels(function, forceinline=False)
 
 
 def disjoint_routine(function: Function) -> Function:
-    """Compile as `routine` does, for arguments of which none overlaps a written one.
+    """Compile as `routine` does, for functions whose written arguments overlap no other argument.
 
-    Values already read need not be read again after a write to another argument. Measured saving: one sixteenth of a
+    The compiled code need not read values again after a write to another argument. Measured saving: one sixteenth of a
     flight's time.
     """
     return _for_kernels(function, DisjointCompiler, forceinline=False)
@@ -68,23 +67,23 @@ def disjoint_routine(function: Function) -> Function:
 def routine_beside(function: Function) -> Function:
     """Compile as `disjoint_routine` does, on Linux in a parallel process.
 
-    The function must be large, have arguments without aliases and return nothing. Measured saving: a third of the wait
-    for a first flight.
+    The function must be large and return nothing, and its arguments must not overlap. Measured saving: a third of the
+    compilation time before a first flight.
     """
     return _for_kernels(function, BesideCompiler, forceinline=False)
 
 
 def rare_routine(function: Function) -> Function:
-    """Compile as `disjoint_routine` does, for code that few flights run, and never inline it."""
+    """Compile as `disjoint_routine` does and never inline, for code that few flights execute."""
     return _for_kernels(function, RareCompiler, forceinline=False)
 
 
 class _Kernel:
-    """A kernel as seen by compiled callers and by Python.
+    """A kernel that compiled functions and Python can call.
 
-    It is compiled with its first caller, without the wrappers for calls from Python and C, which take a quarter of the
-    wait for a first flight. It is compiled a second time if Python calls it, as an entry. A process that only loads
-    kept machine code creates no dispatcher.
+    A compiled caller compiles it without the wrappers for calls from Python and C, which take a quarter of the
+    compilation time before a first flight. A call from Python compiles it again, as an entry. A process that only loads
+    stored machine code creates no dispatcher.
     """
 
     def __init__(self, function: Callable[..., object], compiler: type[CompilerBase], options: dict[str, Any]) -> None:
@@ -102,7 +101,7 @@ class _Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """Return the type of the kernel, which Numba reads from a global when it compiles a caller."""
+        """Return the Numba type of the kernel, which Numba reads when it compiles a caller."""
         return self._bare._numba_type_
 
     @functools.cached_property
@@ -110,7 +109,7 @@ class _Kernel:
         bare = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": self._compiler}
         dispatcher = numba.njit(_signed(self.py_func), **bare, **self._options)
 
-        def keep(result: Any) -> None:  # as Numba's own, but for telling the dispatcher's C code of the machine code
+        def keep(result: Any) -> None:  # as in Numba, but without a registration in C code
             dispatcher.overloads[tuple(result.signature.args)] = result
 
         dispatcher.add_overload = keep
@@ -131,9 +130,10 @@ def _for_kernels(
 
 
 def _compile_for_all_integers(compiled: Any) -> None:
-    """Compile once for all integer literals of callers, where Numba would compile for each.
+    """Compile once for all integer literals of callers; Numba would compile once for each.
 
-    Where the kernel is inlined, LLVM still uses the values. Measured saving: a quarter of the wait for a first flight.
+    In an inlined kernel, LLVM still uses the values. Measured saving: a quarter of the compilation time before a first
+    flight.
     """
     template_for = compiled.get_call_template
 
@@ -147,9 +147,9 @@ def _compile_for_all_integers(compiled: Any) -> None:
 
 
 def _signed(function: Function) -> Function:
-    """Attach the signature to a function.
+    """Attach its signature to a function, and return the function.
 
-    Numba reads it three times, which takes a tenth of a second for all kernels.
+    Numba otherwise determines the signature three times, which takes a tenth of a second for all kernels.
     """
     function.__dict__["__signature__"] = inspect.signature(function)
     return function
@@ -158,30 +158,30 @@ def _signed(function: Function) -> Function:
 def entry(function: Function) -> Function:
     """Compile as `kernel` does, for the few functions that Python calls.
 
-    The machine code is kept on disk, with all callees.
+    The machine code, with that of all callees, is stored on disk.
     """
     return _kept(numba.njit(_signed(function), nogil=True, error_model="numpy", pipeline_class=EntryCompiler))  # type: ignore[no-any-return]  # Numba has no types
 
 
 def _kept(compiled: Any) -> Any:
-    """Return a compiled function whose machine code is kept on disk."""
+    """Return the compiled function with a cache of its machine code on disk."""
     if not numba.config.DISABLE_JIT:
-        with contextlib.suppress(RuntimeError):  # from Numba, where no cache can be written
+        with contextlib.suppress(RuntimeError):  # Numba raises it if no cache folder is writable
             compiled._cache = EntryCache(compiled.py_func)
     return compiled
 
 
 def from_python(function: Function) -> Function:
-    """Compile a kernel for callers in Python, as an entry of its own.
+    """Compile a kernel as a separate entry, for callers in Python.
 
-    Unlike a call of the kernel itself, this leaves its choice of inlining to the compiler.
+    In contrast to a call of the kernel itself, this leaves the choice of inlining to the compiler.
     """
     return entry(getattr(function, "py_func", function))
 
 
 @intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
 def _address(context: Any, array: Any) -> Any:
-    """Numba intrinsic: return a pointer to the first element of a contiguous array."""
+    """Return a pointer to the first element of a contiguous array (Numba intrinsic)."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return context.make_array(signature.args[0])(context, builder, arguments[0]).data
@@ -190,11 +190,11 @@ def _address(context: Any, array: Any) -> Any:
 
 
 def bare_pointer(array: Array) -> Array:
-    """Return the array's elements without the array, for use inside an entry only; the caller keeps the array alive.
+    """Return a pointer to the elements of an array, for use inside an entry only; the caller must keep the array alive.
 
-    Numba counts references to an array atomically, at every call with the array, and checks the sign of every index.
-    Measured, both together took half of a flight's time. A bare pointer supports only one non-negative index. In plain
-    Python it is the array itself.
+    Numba counts references to an array atomically at every call that passes the array, and checks the sign of every
+    index. Together these took half of a flight's time in measurements. A bare pointer supports one non-negative index
+    only. In plain Python, the array itself is returned.
     """
     return array
 
@@ -205,9 +205,9 @@ def _bare_pointer(array):  # type: ignore[no-untyped-def]  # Numba compares both
 
 
 def integer(record: Any, name: str) -> int:
-    """Return an integer of a record, for kernels: a compile-time constant where the record's type contains it.
+    """Return an integer of a record: a compile-time constant if the record's type contains its value.
 
-    `records.with_constants` makes such types. `name` must be a literal.
+    `records.with_constants` makes such types. `name` must be a literal. This function is for kernels.
     """
     return int(record[name])
 
@@ -216,7 +216,7 @@ def integer(record: Any, name: str) -> int:
 def _integer(record, name):  # type: ignore[no-untyped-def]  # Numba compares both signatures, annotations included
     name = getattr(name, "literal_value", None)
     if name is None:
-        return None  # Numba asks again with the name itself
+        return None  # Numba calls again with the literal
     known = constants_in(record.fields)
     if name in known:
         value = known[name]
@@ -226,7 +226,7 @@ def _integer(record, name):  # type: ignore[no-untyped-def]  # Numba compares bo
 
 @intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
 def _record_at(context: Any, records: Any, index: Any) -> Any:
-    """Numba intrinsic: return a pointer to a record of a contiguous array."""
+    """Return a pointer to a record of a contiguous array (Numba intrinsic)."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
@@ -236,7 +236,7 @@ def _record_at(context: Any, records: Any, index: Any) -> Any:
 
 
 def record_at(records: Any, index: int) -> Any:
-    """Return a record of an array at a non-negative index, without Numba's check of the sign."""
+    """Return the record of an array at a non-negative index, without Numba's check of the sign."""
     return records[index]
 
 

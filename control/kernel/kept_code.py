@@ -1,7 +1,7 @@
-"""Machine code of entries, kept on disk with all their callees.
+"""Storage of the machine code of entries on disk, with all their callees.
 
-The name of the folder contains a hash of all sources of maxq. Numba checks only the file of the called function, so an
-edited callee would otherwise keep its old machine code.
+The name of the folder contains a hash of all sources that may contain a kernel. Numba checks only the file of the
+called function, so an edited callee would otherwise keep its old machine code.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ _COMPILED = re.compile(rb"^@(?:kernel|formula|\w*routine\w*|entry|from_python)\b
 
 
 def _source_files() -> dict[Path, bytes]:
-    """Return the sources that hold a kernel, or a constant that a kernel uses, wherever they are installed.
+    """Return the contents of the sources that contain a kernel, or a constant that a kernel uses, by path.
 
-    These are all of control/, the files of sim/ that run in flight, and any other file below them and design/ that
+    These are all files of control/, the files of sim/ used in flight, and any other file of sim/ and design/ that
     compiles a function.
     """
     layers, found = Path(__file__).resolve().parents[2], dict[Path, bytes]()
@@ -47,12 +47,12 @@ def _source_files() -> dict[Path, bytes]:
 
 
 def _flies(parts: tuple[str, ...]) -> bool:
-    """Return True for a file of control/, or of sim/ outside `_KERNEL_FREE`, by its path below the layers."""
+    """Return True for a file of control/, or of sim/ outside `_KERNEL_FREE`; `parts` is its path below the layers."""
     return parts[0] == "control" or (parts[0] == "sim" and not _KERNEL_FREE.intersection(parts))
 
 
 def source_hash() -> str:
-    """Return the first 16 hex digits of the SHA-256 of all sources that may hold a kernel."""
+    """Return the first 16 hex digits of the SHA-256 of all sources that may contain a kernel."""
     return _hash_of(_source_files())
 
 
@@ -65,7 +65,7 @@ def _hash_of(sources: dict[Path, bytes]) -> str:
 
 
 def _folder_and_sources() -> tuple[str, frozenset[str]]:
-    """Return the folder of the compiled kernels and the paths of their sources, which are read once."""
+    """Return the folder of stored machine code and the paths of all sources that may contain a kernel."""
     sources = _source_files()
     return str(own_cache(f"kernels-{_hash_of(sources)}")), frozenset(map(str, sources))
 
@@ -78,15 +78,15 @@ _loaded = set[str]()
 
 
 def is_own(path: str) -> bool:
-    """Return True for a source of maxq, whose machine code is valid as long as the folder of kernels is."""
+    """Return True for a source of maxq, whose machine code remains valid as long as the folder."""
     return os.path.realpath(path) in _SOURCES
 
 
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no types
-    """The cache files of one function's machine code, each with its SHA-256 at the end.
+    """The cache files of one function's machine code, each followed by its SHA-256.
 
-    A damaged file is made again. Numba reads neither file to its end. It accepts an empty index and missing code, which
-    this class returns for a damaged file.
+    Machine code in a damaged file is compiled again. Numba does not detect a damaged file, but accepts an empty index
+    and missing code, which this class returns in that case.
     """
 
     @contextlib.contextmanager
@@ -107,10 +107,10 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]  # Numba has no ty
 
 
 class _Place:
-    """The place and validity of an entry's machine code, in the form that Numba requires.
+    """The location and the validity criterion of an entry's machine code, in the form that Numba requires.
 
-    Code of maxq's own sources is valid for any place and date of installation, because the folder's name is their hash.
-    Code of other files is valid for their path, size and date.
+    Code of maxq's own sources is valid for any place and date of installation, because the folder's name contains their
+    hash. Code of other files is valid for their path, size and modification time.
     """
 
     def __init__(self, function: Any, path: str) -> None:
@@ -122,7 +122,7 @@ class _Place:
 
     @classmethod
     def from_function(cls, function: Any, path: str) -> _Place | None:
-        """Return the place, or None where nothing can be kept."""
+        """Return the location, or None if nothing can be stored there."""
         try:
             place = cls(function, path)
             place.ensure_cache_path()
@@ -146,7 +146,7 @@ class _Place:
 
 
 class _Kept(CompileResultCacheImpl):  # type: ignore[misc]  # Numba has no types
-    """The kept form of an entry: machine code without its LLVM code, which is not linked again."""
+    """The stored form of an entry: machine code without its LLVM IR, because it is not linked again."""
 
     _locator_classes = (_Place,)
 
@@ -156,7 +156,7 @@ class _Kept(CompileResultCacheImpl):  # type: ignore[misc]  # Numba has no types
     def rebuild(self, context: Any, kept: Any) -> Any:
         load_objects(context.codegen(), kept[0])
         result = super().rebuild(context, kept[1])
-        result.library._shared_module = None  # Numba refuses to link what has none
+        result.library._shared_module = None  # Numba then refuses to link it
         return result
 
 
@@ -169,10 +169,11 @@ class EntryCache(FunctionCache):  # type: ignore[misc]  # Numba has no types
         self._cache_file.__class__ = _CheckedFile
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """Load machine code from disk, without Numba's implementations of NumPy, which load SciPy's linear algebra.
+        """Load machine code from disk, without Numba's NumPy functions, which would import SciPy's linear algebra.
 
-        A compilation loads those implementations. Compiled code needs only the reference counts of arrays. If there is
-        no machine code, this process compiles it, and workers that start together wait for the first of them.
+        Compiled code needs only the reference counts of arrays; a compilation loads the NumPy functions. If no machine
+        code is stored, None is returned and this process compiles it. Other processes that need the same code wait for
+        the first process.
         """
         rtsys.initialize(target)
         for _ in range(2):
@@ -208,7 +209,7 @@ class EntryCache(FunctionCache):  # type: ignore[misc]  # Numba has no types
 
 
 def _whole_content(path: str | Path) -> bytes:
-    """Return the content of a file before its SHA-256, or nothing for a damaged or missing file."""
+    """Return the content of a file without its SHA-256, or b"" for a damaged or missing file."""
     try:
         content = Path(path).read_bytes()
     except OSError:
@@ -217,22 +218,22 @@ def _whole_content(path: str | Path) -> bytes:
 
 
 def load_objects(codegen: Any, objects: Mapping[str, bytes]) -> None:
-    """Load the machine code of routines, by name."""
+    """Load the object files of routines (by name) into this process, once each."""
     for name in objects.keys() - _loaded:
         codegen._engine._ee.add_object_file(llvmlite.binding.ObjectFileRef.from_data(objects[name]))
         _loaded.add(name)
 
 
 def kept_routine(name: str) -> bytes:
-    """Return the object file of a routine compiled before, or nothing."""
+    """Return the stored object file of a routine, or b"" if there is none."""
     return _whole_content(_routine_path(name))
 
 
 def keep_routine(name: str, code: bytes) -> None:
-    """Keep the object file of a routine, so that it survives if the compilation of its entry is killed."""
+    """Store the object file of a routine, so that it remains if the compilation of its entry is killed."""
     path = _routine_path(name)
     begun = path.with_suffix(f".{os.getpid()}")
-    with contextlib.suppress(OSError):  # where nothing can be kept
+    with contextlib.suppress(OSError):  # the folder may not be writable
         path.parent.mkdir(parents=True, exist_ok=True)
         begun.write_bytes(code + hashlib.sha256(code).digest())
         begun.replace(path)

@@ -1,4 +1,4 @@
-"""The resources of this machine: its cores, and a folder of the user's for cached results."""
+"""The resources of this machine: its cores, and the user's cache folder."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ def cores() -> int:
 
 
 def own_cache(name: str) -> Path:
-    """Return a folder for machine code or results, and create it if missing.
+    """Return the cache folder `name` for machine code or results, and create it if it is missing.
 
-    It is in `$MAXQ_CACHE`, or in the user's cache folder. Raises PermissionError if another user owns the folder or may
-    write to it, because its content is executed and trusted.
+    The folder is in `$MAXQ_CACHE`, or in the user's cache folder. Raises PermissionError if another user owns the
+    folder or may write to it, because its content is executed and trusted.
     """
     base = os.environ.get("MAXQ_CACHE") or os.path.join(
         os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "maxq"
     )
     for folder in (Path(base), Path(base) / name):
-        with contextlib.suppress(OSError):  # where nothing can be kept, everything is worked out again
+        with contextlib.suppress(OSError):  # without a writable folder, results are computed again
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if hasattr(os, "getuid") and folder.exists():
             status = folder.stat()

@@ -1,13 +1,13 @@
-"""Counter-based random numbers: a draw does not depend on earlier draws.
+"""Counter-based random numbers: no draw depends on an earlier draw.
 
-A draw is a function of (seed, stream, index). The seed belongs to the flight, the stream to the component that draws,
-and the index counts the draws of that component. There is no generator state. Hence a flight that skips, repeats or
-reorders components has the same noise, and run i of a campaign can be repeated on its own.
+A draw is a function of (seed, stream, index). The seed belongs to the flight and the stream to a component; the index
+counts the component's draws. There is no generator state. Hence a flight that skips, repeats or reorders components has
+the same noise, and any run of a campaign can be repeated alone.
 
 The bits come from Philox4x32-10 (Salmon, Moraes, Dror & Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC11,
-2011), the normal deviate from the inverse of the normal distribution (Wichura, algorithm AS 241, Applied Statistics 37,
-1988; 16 digits). All integer arithmetic masks to 32 bits after every product, so that wrapping 64-bit integers
-(compiled) and unbounded ones (plain Python) give the same bits.
+2011). The normal deviate is the inverse of the normal distribution at a uniform draw (Wichura, algorithm AS 241,
+Applied Statistics 37, 1988; 16 digits). All integers are masked to 32 bits after every product, so that wrapping 64-bit
+integers (compiled) and unbounded integers (plain Python) give the same bits.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import math
 
 from maxq.control.kernel.jit import kernel, routine
 
-# Streams in use, so that no two components share a sequence: 1 turbulence, 16 to 18 the gyro's three axes
+# Streams in use, so that no two components share a sequence: 1 turbulence, 16 to 18 the three axes of the gyro
 # (GYRO_STREAM in sim/vehicle/sensor/gyro.py), 32 to 51 further sensors (SENSOR_STREAM in
 # sim/vehicle/sensor/further.py).
 TURBULENCE_STREAM = 1
@@ -38,8 +38,7 @@ def philox(c0: int, c1: int, c2: int, c3: int, k0: int, k1: int) -> tuple[int, i
     for _ in range(_ROUNDS):
         product_0 = _MULTIPLIER_0 * c0
         product_1 = _MULTIPLIER_1 * c2
-        # The upper half of a wrapped product may look negative; the mask after the shift makes it right
-        # again.
+        # A wrapped product may be negative; the mask after the shift restores its upper half.
         c0, c1, c2, c3 = (
             ((product_1 >> 32) & _MASK) ^ c1 ^ k0,
             product_1 & _MASK,
@@ -53,16 +52,16 @@ def philox(c0: int, c1: int, c2: int, c3: int, k0: int, k1: int) -> tuple[int, i
 
 @kernel
 def uniform_pair(seed: int, stream: int, index: int) -> tuple[float, float]:
-    """Return two independent numbers, uniform in the open interval (0, 1), on the centres of 2^52 equal cells.
+    """Return two independent uniform numbers in the open interval (0, 1), at the centres of 2^52 equal cells.
 
     `seed`, `stream` and `index` are signed 64-bit integers of any value.
     """
-    # int() turns NumPy scalars (records hold them) into plain integers: those wrap without a warning.
+    # Records contain NumPy scalars, which warn when they wrap; the conversion to integers avoids the warning.
     seed, stream, index = int(seed), int(stream), int(index)
     w0, w1, w2, w3 = philox(
         index & _MASK, (index >> 32) & _MASK, stream & _MASK, (stream >> 32) & _MASK, seed & _MASK, (seed >> 32) & _MASK
     )
-    # 52 bits and a half are exact in a double, 53 and a half are not and could round to 1.
+    # Numbers of 52 bits plus one half are exact in a double; those of 53 bits plus one half could round to 1.
     return (
         (float((w0 << 20) | (w1 >> 12)) + 0.5) * 2.220446049250313e-16,
         (float((w2 << 20) | (w3 >> 12)) + 0.5) * 2.220446049250313e-16,
@@ -71,15 +70,15 @@ def uniform_pair(seed: int, stream: int, index: int) -> tuple[float, float]:
 
 @routine
 def standard_normal(seed: int, stream: int, index: int) -> float:
-    """Return one draw of the standard normal distribution; |value| is at most 8.21 (the last cells of the uniform)."""
+    """Return one draw of the standard normal distribution; its magnitude is at most 8.21, the last cell's quantile."""
     return normal_quantile(uniform_pair(seed, stream, index)[0])
 
 
 @routine
 def standard_normal_pair(seed: int, stream: int, index: int) -> tuple[float, float]:
-    """Return two independent standard normal draws, the first of which is `standard_normal`.
+    """Return two independent standard normal draws, of which the first equals `standard_normal`.
 
-    They cost little more than one draw.
+    A pair takes little longer than a single draw.
     """
     first, second = uniform_pair(seed, stream, index)
     return normal_quantile(first), normal_quantile(second)
@@ -120,7 +119,7 @@ _FAR_TAIL = (
 
 @kernel
 def _ratio(coefficients: tuple[tuple[float, float], ...], r: float) -> float:
-    """Return the ratio of two polynomials by Horner's rule; rows (numerator, denominator), highest power first."""
+    """Return the ratio of two polynomials at `r`; rows are (numerator, denominator), highest power first."""
     above, below = 0.0, 0.0
     for a, b in coefficients:
         above = above * r + a
@@ -132,10 +131,10 @@ def _ratio(coefficients: tuple[tuple[float, float], ...], r: float) -> float:
 def normal_quantile(probability: float) -> float:
     """Return x with P(X <= x) = `probability` for a standard normal X.
 
-    The relative accuracy is 1e-15, for 0 < probability < 1. Source: Wichura, AS 241, routine PPND16.
+    Valid for 0 < `probability` < 1, with a relative accuracy of 1e-15. Source: Wichura, AS 241, routine PPND16.
     """
     q = probability - 0.5
-    if abs(q) <= 0.425:  # 85 % of all draws: no library call
+    if abs(q) <= 0.425:  # 85 % of all draws, without a library call
         r = 0.180625 - q * q
         return q * _ratio(_CENTRE, r)
     r = math.sqrt(-math.log(min(probability, 1.0 - probability)))

@@ -1,7 +1,7 @@
-"""The progress of a compilation, as the share of its estimated cost that is finished in all processes.
+"""The progress of a compilation, as the finished share of its estimated cost in all processes.
 
-The cost is estimated before the compilation begins. Kernels call each other by their global names, so the bytecode of
-an entry names all kernels that belong to it.
+The cost is estimated before the compilation begins. Kernels call each other by global names, so the bytecode of an
+entry names all kernels that it needs.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from typing import Any
 import numpy as np
 
 _OPTIMISED = 0.15
-"""The cost of optimising and emitting a byte of bytecode, relative to that of translating it to LLVM's language.
+"""The cost of optimising and emitting one byte of bytecode, relative to that of its translation to LLVM IR.
 
-Bytes of an inlined kernel count at each place. Measured for the four parts of a flight's kernels: 0.11 to 0.15.
+The bytes of an inlined kernel count at each call. Measured for the four parts of a flight's kernels: 0.11 to 0.15.
 """
 
 watchers: list[Callable[[str, float], None]] = []
-"""The functions to call with the name of a compilation ("" for a part of maxq) and its finished share, 0 to 1.
+"""The functions called with the name of a compilation ("" for a part of maxq) and its finished share, 0 to 1.
 
-They are called from the thread that compiles.
+The compiling thread calls them.
 """
 
 
 def called_kernels(function: Any) -> list[Any]:
-    """Return the kernels that a function names, once for each place in its code, also as attributes of modules."""
+    """Return the kernels that a function names, once per occurrence in its code, including attributes of modules."""
     found, owner = list[Any](), None
     for step in dis.get_instructions(function):
         if step.opname.startswith("LOAD_GLOBAL"):
@@ -45,11 +45,11 @@ def called_kernels(function: Any) -> list[Any]:
 
 
 class _Part:
-    """The code that one process may compile: an entry or a routine, with all kernels that it calls."""
+    """The code that one process can compile: an entry or a routine, with all kernels that it calls."""
 
     def __init__(self, function: Any) -> None:
-        self.apart = list[Any]()  # routines that other processes may compile
-        self.left = {function: len(function.__code__.co_code)}  # bytes of the functions that are not translated yet
+        self.apart = list[Any]()  # routines that other processes can compile
+        self.left = {function: len(function.__code__.co_code)}  # bytecode sizes of the functions not translated yet
         calls = {function: called_kernels(function)}
         open_ = [function]
         while open_:
@@ -73,7 +73,7 @@ class _Part:
 
 
 class Compilation:
-    """The compilation of some entries, called `name`, such as that of the vehicle that flies first."""
+    """The compilation of the entries `functions`, such as those of a first flight; `name` is used in reports."""
 
     def __init__(self, name: str, functions: list[Any]) -> None:
         self.name, self._functions = name, functions
@@ -82,7 +82,7 @@ class Compilation:
 
     @functools.cached_property
     def _parts(self) -> dict[Any, _Part]:
-        """The parts by their functions. They are not made where all machine code is loaded."""
+        """Return the parts by function; a process that loads all machine code does not compute them."""
         parts, functions = dict[Any, _Part](), list(self._functions)
         while functions:
             function = functions.pop()
@@ -93,7 +93,7 @@ class Compilation:
 
     @functools.cached_property
     def _done(self) -> dict[Any, Any]:
-        """The finished cost of each part, in memory that forked processes share."""
+        """Return the finished cost of each part, in memory shared with forked processes."""
         shared = np.frombuffer(mmap.mmap(-1, 8 * len(self._parts)), np.float64)
         done = {function: shared[place : place + 1] for place, function in enumerate(self._parts)}
         for function in self._loaded & done.keys():
@@ -102,7 +102,7 @@ class Compilation:
 
     @property
     def share(self) -> float:
-        """Return the finished share of the estimated cost."""
+        """Return the finished share of the estimated cost, 0 to 1."""
         return float(sum(done[0] for done in self._done.values()) / sum(part.cost for part in self._parts.values()))
 
     def report(self, share: float | None = None) -> None:
@@ -111,19 +111,19 @@ class Compilation:
             watch(self.name, self.share if share is None else share)
 
     def close(self) -> None:
-        """End the reports."""
+        """Report the full share, if any progress has been reported."""
         if self._reported:
             self.report(1.0)
 
     def loaded(self, function: Any) -> None:
-        """Count a part as finished, because its machine code was kept."""
+        """Count a part as finished, because its machine code was loaded from disk."""
         self._loaded.add(function)
         if self._reported and function in self._done:
             self._done[function][0] = self._parts[function].cost
 
     @contextlib.contextmanager
     def part(self, function: Any) -> Iterator[None]:
-        """Compile a part within this block. A part that the compilation does not know is not counted."""
+        """Count the code compiled within this block as the part `function`, unless it is not in this compilation."""
         known = function in self._parts
         self._inside += [function] * known
         try:
@@ -135,9 +135,9 @@ class Compilation:
             self.report()
 
     def translated(self, function: Any = None) -> None:
-        """Count a function as translated, in the part that this process compiles, or all of its functions.
+        """Count `function` as translated in the part being compiled; without an argument, count all functions.
 
-        Those left are not called, or were translated with another part.
+        The functions that remain at the end of a part are not called, or were translated with another part.
         """
         if self._inside:
             part, done = self._parts[self._inside[-1]], self._done[self._inside[-1]]
@@ -147,19 +147,19 @@ class Compilation:
 
 
 _open: list[Compilation] = []
-"""The compilation in progress, if any."""
+"""The compilation in progress, in a list of at most one element."""
 
 
 def current() -> Compilation:
-    """Return the compilation in progress, or one of nothing."""
+    """Return the compilation in progress, or an empty compilation."""
     return _open[0] if _open else Compilation("", [])
 
 
 @contextlib.contextmanager
 def compilation(name: str, *entries: Any) -> Iterator[None]:
-    """Report what compiles within this block as one compilation, called `name`, of these entries.
+    """Report all code compiled within this block as one compilation of `entries`, called `name`.
 
-    Within another compilation, in this thread or in another one, the block has no effect.
+    Within another compilation, in this thread or another, the block has no effect.
     """
     if _open:
         yield

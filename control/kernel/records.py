@@ -1,8 +1,8 @@
 """Parameter records: frozen dataclasses as schemas, and packed `np.record`s as the input of kernels.
 
-A kernel receives `P[i]` and reads `P[i].engine.mass_kg`. It compiles once for every vehicle, because no size in the
-layout depends on the vehicle: arrays are bounded and have a count. `with_constants` puts counts into the layout, where
-thousands of flights of one vehicle justify a separate compilation.
+A kernel receives `P[i]` and reads `P[i].engine.mass_kg`. It is compiled once for all vehicles, because arrays have
+fixed bounds and a count, so that the layout does not depend on the vehicle. `with_constants` adds the counts to the
+layout, for thousands of flights of one vehicle that justify a separate compilation.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[Any]
-"""The rows of one record type (dtype_of a dataclass).
+"""The rows of one record type (`dtype_of` a dataclass).
 
-A kernel annotates a single row, an np.record, with its dataclass.
+The annotation of a single row, an np.record, is its dataclass.
 """
 
 Reader = tuple[Callable[[Any], tuple[Any, ...]], tuple[int, ...]]
-"""The getter of all fields of a dataclass, and the indices of the fields that are dataclasses themselves."""
+"""The getter of all fields of a dataclass, and the indices of the fields that are themselves dataclasses."""
 
 _LAYOUTS: dict[type, np.dtype[Any]] = {}
 _READERS: dict[type, Reader] = {}
@@ -34,10 +34,9 @@ _READERS: dict[type, Reader] = {}
 def dtype_of(schema: type) -> np.dtype[Any]:
     """Return the record layout of a dataclass.
 
-    Its fields are `float`, `int`, `Annotated[Array, shape]`, nested dataclasses and tuples of them (`Annotated[tuple[X,
-    ...], shape]`).
-
-    Raises TypeError for any other field type, and for a name that np.record has itself.
+    Its fields may be `float`, `int`, `Annotated[Array, shape]`, a dataclass, or a tuple of dataclasses
+    (`Annotated[tuple[X, ...], shape]`). Raises TypeError for any other type of field, and for a field named like an
+    attribute of np.record.
     """
     if schema not in _LAYOUTS:
         _LAYOUTS[schema] = _layout(schema)
@@ -47,7 +46,7 @@ def dtype_of(schema: type) -> np.dtype[Any]:
 def _layout(schema: type) -> np.dtype[Any]:
     hints = get_type_hints(schema, include_extras=True)
     taken = [f.name for f in fields(schema) if hasattr(np.record, f.name)]
-    if taken:  # uncompiled, `row.shape` is NumPy's own attribute, not the field
+    if taken:  # in plain Python, `row.shape` is NumPy's attribute, not the field
         raise TypeError(f"{schema.__name__}.{taken[0]}: np.record has an attribute of that name already")
     return np.dtype((np.record, [(f.name, *_column(hints[f.name])) for f in fields(schema)]))
 
@@ -69,16 +68,16 @@ def _column(hint: Any) -> tuple[Any, ...]:
 
 
 def pack(instances: list[Any]) -> NDArray[Any]:
-    """Return a 1-D array of records, one row per instance (all of the same dataclass)."""
+    """Return a 1-D array of records, one row per instance; all instances must be of the same dataclass."""
     rows = np.zeros(len(instances), dtype_of(type(instances[0])))
     rows[:] = [_values(instance) for instance in instances]
     return rows
 
 
 def _values(instance: Any) -> tuple[Any, ...]:
-    """Return the nested tuples from which NumPy makes a record.
+    """Return the field values of an instance as nested tuples, from which NumPy makes a record.
 
-    One call does it, because a campaign packs for every flight.
+    All fields are read by one call, because a campaign packs a record for every flight.
     """
     schema = type(instance)
     if schema not in _READERS:
@@ -103,15 +102,15 @@ def _reader(schema: type) -> Reader:
 
 
 def blank(schema: type) -> NDArray[Any]:
-    """Return one row of zeros: the mutable state of a component that a kernel owns."""
+    """Return one row of zeros, the mutable state of a component in a kernel."""
     return np.zeros(1, dtype_of(schema))
 
 
 def with_constants(rows: NDArray[Any], *path: str) -> NDArray[Any]:
-    """Return the same memory, with the integers of the nested record at `path` in its type as well.
+    """Return `rows` as a view whose type contains the integers of the nested record at `path`.
 
-    Kernels that read them by `jit.integer` are compiled for these values and compute the same bits. Rows with different
-    integers are returned unchanged.
+    Kernels that read them by `jit.integer` are compiled for these values and compute the same bits. If the integers
+    differ between rows, `rows` is returned unchanged.
     """
     nested = rows
     for name in path:
@@ -124,7 +123,7 @@ def with_constants(rows: NDArray[Any], *path: str) -> NDArray[Any]:
 
 
 def constants_in(names: Iterable[str]) -> dict[str, int]:
-    """Return the constants encoded in the names of a record's fields, see `with_constants`."""
+    """Return the constants encoded in the field names of a record by `with_constants`."""
     return {
         name: int(value)
         for encoded in names
@@ -135,10 +134,11 @@ def constants_in(names: Iterable[str]) -> dict[str, int]:
 
 @lru_cache(maxsize=64)
 def _with_constant_names(layout: np.dtype[Any], path: tuple[str, ...], encoded: str) -> np.dtype[Any]:
-    """Return `layout` with an additional field of zero size before those of the record at `path`.
+    """Return `layout` with an additional field of zero size before the fields of the record at `path`.
 
-    The size is zero because NumPy gives no buffer for a record whose fields overlap. The field comes first because
-    Numba takes a record with more fields at its end for a subtype, and would call kernels of other constants with it.
+    The size is zero because NumPy provides no buffer for a record with overlapping fields. The field comes first
+    because Numba treats a record with more fields at its end as a subtype, and would pass it to kernels compiled for
+    other constants.
     """
     of: dict[str, Any] = dict(layout.fields or {})
     names = list(layout.names or ())

@@ -6,10 +6,10 @@ A declaration is a NamedTuple whose fields are annotated with a type, a unit and
         thrust_N: Annotated[float, "N", "thrust at ambient pressure"]
         mount_force_B_axis_N: Annotated[Xyz, "N", "force on the mount"]
 
-`sim/flight/channels.py` makes channels from it: here `thrust_N`, `mount_force_B_x_N`, `..._y_N`, `..._z_N`, because
-`axis` in a name represents each component of the field's type. A field may be a row itself (`law: LawRow`). A kernel
-returns an instance of the class with values in the declared units, and `put` writes it into the log's row. A missing or
-unknown field is an error when the kernel is compiled, and columns need no explicit numbers.
+`sim/flight/channels.py` derives the channels from it, here `thrust_N`, `mount_force_B_x_N`, `..._y_N` and `..._z_N`:
+`axis` in a name stands for the components of the field's type. A field may itself be a row (`law: LawRow`). A kernel
+returns an instance of the class with values in the declared units, and `put` writes it into the row of the log. A
+missing or unknown field is an error when the kernel is compiled. Columns need no explicit numbers.
 """
 
 from __future__ import annotations
@@ -58,26 +58,26 @@ class PitchYaw(NamedTuple):
 
 @kernel
 def xyz(values: Array, first: int) -> Xyz:
-    """Return three adjacent components."""
+    """Return the three adjacent components that begin at `first`."""
     return Xyz(values[first], values[first + 1], values[first + 2])
 
 
 @kernel
 def quaternion(values: Array) -> QuaternionRow:
-    """Return four adjacent components, scalar first."""
+    """Return the first four components, a quaternion with the scalar first."""
     return QuaternionRow(values[0], values[1], values[2], values[3])
 
 
 @kernel
 def degrees(rad: Array, first: int = 0) -> RollPitchYaw:
-    """Return three adjacent angles or rates, converted from rad to deg."""
+    """Return three adjacent angles or rates from `first` on, converted from rad to deg."""
     return RollPitchYaw(DEG * rad[first], DEG * rad[first + 1], DEG * rad[first + 2])
 
 
 def put(row: Array, column: int, values: Any) -> int:
-    """Write the numbers of a tuple, nested ones in order, into `row` from `column` on, and return the next column.
+    """Write the numbers of a tuple, with nested tuples in order, into `row`, and return the next column.
 
-    This is for kernels. `row` is contiguous and long enough.
+    The first number goes into `column`. `row` must be contiguous and long enough. This function is for kernels.
     """
     if not isinstance(values, tuple):
         row[column] = values
@@ -89,9 +89,9 @@ def put(row: Array, column: int, values: Any) -> int:
 
 @intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
 def _store(context: Any, row: Any, column: Any, values: Any) -> Any:
-    """Numba intrinsic: implement `put` as one store per number.
+    """Implement `put` as one store per number (Numba intrinsic).
 
-    Numba cannot loop over tuples of unlike types.
+    Numba cannot loop over tuples with elements of different types.
     """
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

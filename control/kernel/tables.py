@@ -1,12 +1,12 @@
 """Tables that kernels interpolate: piecewise cubics of many columns over one shared set of breakpoints.
 
-Every table of a flight is part of one flat array, the *pool*: mass over time, coefficients over Mach number, wind over
-altitude, gains over time. A `TableRef` in the parameter record gives its place. In the pool a table is
+All tables of a flight are in one flat array, the *pool*: mass over time, coefficients over Mach number, wind over
+altitude, gains over time. A `TableRef` in the parameter record gives the place of a table. In the pool a table is
 
     breaks[n_breaks]  then  coefficients[n_breaks - 1][4][n_columns],
 
-and column c on interval k is  sum_p coefficients[k][p][c] * (x - breaks[k])**p. Linear and stepwise tables are
-cubics with zero coefficients, so that kernels handle one kind of table only.
+and column c on interval k is  sum_p coefficients[k][p][c] * (x - breaks[k])**p. Linear and stepwise tables are cubics
+with zero coefficients, so that kernels need only one kind of table.
 """
 
 from __future__ import annotations
@@ -36,7 +36,10 @@ class TableRef:
 
 @dataclass(frozen=True)
 class Cubics:
-    """Piecewise cubics: `breaks` (n,), strictly increasing; `coefficients` (n - 1, 4, columns), rising powers."""
+    """Piecewise cubics of several columns.
+
+    `breaks` (n,) increases strictly. `coefficients` (n - 1, 4, columns) are in rising powers.
+    """
 
     breaks: Array
     coefficients: Array
@@ -46,17 +49,17 @@ class Cubics:
         return int(self.coefficients.shape[2])
 
     def __call__(self, x: float) -> Array:
-        """Return all columns at `x`; outside the breakpoints the end values hold."""
+        """Return all columns (columns,) at `x`; end values apply outside the breakpoints."""
         return np.asarray(self.at(x)[0])
 
     def at(self, xs: ArrayLike) -> Array:
-        """Return rows of all columns at each of `xs`."""
+        """Return all columns at each of `xs` (n,), in shape (n, columns)."""
         k, s = _located(self.breaks.tobytes(), np.atleast_1d(np.asarray(xs, float)).tobytes())
         c = self.coefficients[k]
         return np.asarray(c[:, 0] + s * (c[:, 1] + s * (c[:, 2] + s * c[:, 3])))
 
     def slope(self, x: float) -> Array:
-        """Return derivatives of all columns at `x`, zero outside the breakpoints."""
+        """Return the derivatives of all columns at `x`, which are zero outside the breakpoints."""
         if not self.breaks[0] <= x <= self.breaks[-1]:
             return np.zeros(self.coefficients.shape[2])
         (k,), s = _located(self.breaks.tobytes(), np.array([x], float).tobytes())
@@ -64,9 +67,9 @@ class Cubics:
         return np.asarray(c1 + s[0] * (2.0 * c2 + 3.0 * s[0] * c3))
 
 
-@lru_cache(maxsize=128)  # a campaign's tables change in value, and hardly ever in breakpoints
+@lru_cache(maxsize=128)  # a campaign changes the values of tables, and rarely their breakpoints
 def _located(breaks: bytes, xs: bytes) -> tuple[IntArray, Array]:
-    """Return the interval (n,) of each of `xs`, and the distances from its start (n, 1), clamped to the table."""
+    """Return the interval (n,) of each of `xs`, and its distance from the start (n, 1), clamped to the table."""
     b, x = np.frombuffer(breaks), np.frombuffer(xs)
     k = np.clip(np.searchsorted(b, x, side="right") - 1, 0, len(b) - 2)
     return k, (np.clip(x, b[0], b[-1]) - b[k])[:, None]
@@ -75,18 +78,18 @@ def _located(breaks: bytes, xs: bytes) -> tuple[IntArray, Array]:
 def fit(x: ArrayLike, columns: ArrayLike, method: Method = "pchip") -> Cubics:
     """Return piecewise cubics through `columns` (n, m) at `x` (n,).
 
-    `pchip` is C1 and monotone between points (Fritsch & Carlson 1980), `linear` is C0, `step` holds each value up to
-    the next point. One point gives a constant. Raises ValueError unless `x` increases strictly and all values are
-    finite.
+    `pchip` is C1 and monotone between points (Fritsch & Carlson 1980), `linear` is C0, and `step` holds each value up
+    to the next point. A single point gives a constant. Raises ValueError unless `x` increases strictly and all values
+    are finite.
     """
     x = np.atleast_1d(np.asarray(x, float))
     y = np.asarray(columns, float).reshape(len(x), -1)
     return _fitted(x.tobytes(), y.tobytes(), y.shape[1], method)
 
 
-@lru_cache(maxsize=128)  # a campaign packs the same tables thousands of times: 2 MB or so for KSR-III
+@lru_cache(maxsize=128)  # a campaign packs the same tables thousands of times; they take about 2 MB
 def _fitted(x_bytes: bytes, y_bytes: bytes, columns: int, method: Method) -> Cubics:
-    """Fit as `fit` does; the result is read-only, because it is shared."""
+    """Fit as `fit` does. The result is read-only, because it is shared."""
     x = np.frombuffer(x_bytes)
     y = np.frombuffer(y_bytes).reshape(len(x), columns)
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
@@ -109,7 +112,7 @@ def _fitted(x_bytes: bytes, y_bytes: bytes, columns: int, method: Method) -> Cub
 def hermite(x: Array, y: Array, slopes: Array) -> Cubics:
     """Return piecewise cubics with values `y` and derivatives `slopes`, both (n, m), at strictly increasing `x` (n,).
 
-    This function and `monotone_slopes` repeat SciPy's CubicHermiteSpline and PchipInterpolator, in the same order of
+    This function and `monotone_slopes` repeat SciPy's CubicHermiteSpline and PchipInterpolator in the same order of
     operations. Importing SciPy's classes takes longer than a flight (0.5 s, measured by python -X importtime).
     """
     h = np.diff(x)[:, None]
@@ -119,7 +122,7 @@ def hermite(x: Array, y: Array, slopes: Array) -> Cubics:
 
 
 def monotone_slopes(x: Array, y: Array) -> Array:
-    """Return derivatives (n, m) at three or more points for which the cubics do not overshoot.
+    """Return the derivatives (n, m) of `y` (n, m) at `x` (n,), n >= 3, for which the cubics do not overshoot.
 
     Source: Fritsch & Butland 1984.
     """
@@ -129,7 +132,7 @@ def monotone_slopes(x: Array, y: Array) -> Array:
 
 
 def _shared(array: Array) -> Array:
-    """Return a contiguous read-only view: one type for compiled functions, for any array."""
+    """Return a contiguous read-only view of an array, so that compiled functions receive one type only."""
     view = np.ascontiguousarray(array).view()
     view.flags.writeable = False
     return view
@@ -155,9 +158,9 @@ def _monotone_into(x: Array, y: Array, slopes: Array) -> None:
 
 @kernel
 def _end_slope(h_0: float, h_1: float, secant_0: float, secant_1: float) -> float:
-    """Return the derivative at an end from three points, limited where it would overshoot.
+    """Return the derivative at an end from three points, limited to prevent an overshoot.
 
-    Points are counted inwards from the end.
+    The points are counted inwards from the end.
     """
     slope = ((2.0 * h_0 + h_1) * secant_0 - h_0 * secant_1) / (h_0 + h_1)
     if not _both_rise_or_fall(slope, secant_0):
@@ -173,9 +176,9 @@ def _both_rise_or_fall(a: float, b: float) -> bool:
 
 
 def merge(tables: Sequence[Cubics]) -> Cubics:
-    """Merge the columns of several tables on the union of their breakpoints, exactly and without resampling.
+    """Return one table with the columns of several, on the union of their breakpoints, without resampling.
 
-    Outside its own breakpoints a table holds its end values.
+    Outside its own breakpoints, a table keeps its end values.
     """
     breaks = union(*tables)
     coefficients = np.empty((len(breaks) - 1, 4, sum(table.n_columns for table in tables)))
@@ -195,9 +198,9 @@ def _merge_into(tables: Sequence[Cubics], breaks: Array, out: Array) -> None:
 
 @entry
 def _carry(breaks: Array, coefficients: Array, finer: Array, out: Array, first: int) -> None:
-    """Write the coefficients of a table, re-centred on the `finer` breakpoints, into columns from `first`.
+    """Write the coefficients of a table, re-centred on the `finer` breakpoints, into columns from `first` on.
 
-    The finer breakpoints include the table's own.
+    The finer breakpoints include those of the table.
     """
     k, last = 0, len(breaks) - 1
     for i in range(len(finer) - 1):
@@ -228,16 +231,16 @@ def _union(breaks: tuple[bytes, ...]) -> Array:
 
 
 class Pool:
-    """A collector of tables, which it packs into the flat array that kernels read."""
+    """A collector of tables that packs them into the flat array for kernels."""
 
     def __init__(self) -> None:
-        self._parts: list[tuple[slice, Array | tuple[Cubics, ...]]] = []  # where each lies
+        self._parts: list[tuple[slice, Array | tuple[Cubics, ...]]] = []  # with their places
         self._size = 0
 
     def add(self, *tables: Cubics) -> TableRef:
-        """Add one table, or several merged, and return its place.
+        """Add one table, or several merged into one, and return its place.
 
-        The tables are merged in the pool itself, because a schedule is most of a megabyte.
+        Tables are merged when the pool is packed, because a merged schedule takes almost a megabyte.
         """
         breaks, columns = union(*tables), sum(table.n_columns for table in tables)
         offset = self.put(breaks)
@@ -249,7 +252,7 @@ class Pool:
         self._size += size
 
     def put(self, *parts: Array) -> int:
-        """Append arrays, and return the start of the first one."""
+        """Append arrays and return the offset of the first array."""
         offset = self._size
         for part in parts:
             self._append(part, part.size)
@@ -270,7 +273,7 @@ NO_TABLE = TableRef(0, 0, 0)
 
 
 def table_in(pool: Array, ref: TableRef) -> Cubics:
-    """Return the table at `ref`, as views of the pool."""
+    """Return the table at `ref` as views of the pool."""
     n, columns, at = int(ref.n_breaks), int(ref.n_columns), int(ref.offset)
     coefficients = pool[at + n : at + n + 4 * columns * (n - 1)]
     return Cubics(pool[at : at + n], coefficients.reshape(n - 1, 4, columns))
@@ -291,7 +294,7 @@ def find_interval(pool: Array, ref: TableRef, x: float) -> int:
 
 @kernel
 def interpolate_into(pool: Array, ref: TableRef, k: int, x: float, out: Array, at: int) -> None:
-    """Write all columns at `x`, by the cubics of interval `k`, into `out[at:]`; end values hold outside the table."""
+    """Write all columns at `x`, by the cubics of interval `k`, into `out[at:]`; end values apply outside the table."""
     first, last = pool[ref.offset], pool[ref.offset + ref.n_breaks - 1]
     s = min(max(x, first), last) - pool[ref.offset + k]
     n = ref.n_columns
@@ -303,7 +306,7 @@ def interpolate_into(pool: Array, ref: TableRef, k: int, x: float, out: Array, a
 
 @kernel
 def interpolate(pool: Array, ref: TableRef, k: int, x: float, column: int) -> float:
-    """Return one column at `x`, by the cubic of interval `k`; end values hold outside the table."""
+    """Return one column at `x`, by the cubic of interval `k`; end values apply outside the table."""
     first, last = pool[ref.offset], pool[ref.offset + ref.n_breaks - 1]
     s = min(max(x, first), last) - pool[ref.offset + k]
     n = ref.n_columns
@@ -314,5 +317,5 @@ def interpolate(pool: Array, ref: TableRef, k: int, x: float, column: int) -> fl
 
 @kernel
 def look_up(pool: Array, ref: TableRef, x: float, column: int) -> float:
-    """Return one column at `x`, searching the interval."""
+    """Return one column at `x`, after a search of the interval."""
     return interpolate(pool, ref, find_interval(pool, ref, x), x, column)

@@ -1,4 +1,4 @@
-"""Three-vectors and rotations as scalars and tuples, which a kernel can keep in registers."""
+"""Vectors, rotations and inertia tensors as scalars and tuples, which a kernel can keep in registers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def vector_at(values: Array, first: int) -> Vector:
 
 @kernel
 def set_vector(values: Array, first: int, a: Vector) -> None:
-    """Write three components side by side into an array."""
+    """Write the three components of `a` into adjacent elements of an array."""
     values[first], values[first + 1], values[first + 2] = a[0], a[1], a[2]
 
 
@@ -54,9 +54,10 @@ _C = (-1 / 2, 1 / 24, -1 / 720, 1 / 40320, -1 / 3628800, 1 / 479001600)
 
 @kernel
 def sine_cosine(x: float) -> tuple[float, float]:
-    """Return sin(x), cos(x), x in rad.
+    """Return sin(x) and cos(x) of `x` in rad.
 
-    For |x| <= 0.25 (a gimbal's range) they are Taylor series to rounding, and library functions beyond.
+    For |x| <= 0.25, the range of a gimbal, they are Taylor series accurate to rounding; beyond, they are library
+    functions.
     """
     if abs(x) > 0.25:
         return math.sin(x), math.cos(x)
@@ -68,7 +69,7 @@ def sine_cosine(x: float) -> tuple[float, float]:
 
 @kernel
 def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> Matrix:
-    """Return the matrix that transforms B components into I components; exact to first order for norms near one."""
+    """Return the rotation matrix from B to I; its error is of first order in the deviation of the norm from one."""
     return (
         1.0 - 2.0 * (y * y + z * z),
         2.0 * (x * y - w * z),
@@ -84,7 +85,7 @@ def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> Matrix:
 
 @kernel
 def rotate(m: Matrix, a: Vector) -> Vector:
-    """Return m a: with the matrix of an attitude, from B to I."""
+    """Return m a, which for the matrix of an attitude transforms `a` from B to I."""
     return (
         m[0] * a[0] + m[1] * a[1] + m[2] * a[2],
         m[3] * a[0] + m[4] * a[1] + m[5] * a[2],
@@ -94,7 +95,7 @@ def rotate(m: Matrix, a: Vector) -> Vector:
 
 @kernel
 def rotate_back(m: Matrix, a: Vector) -> Vector:
-    """Return m' a: with the matrix of an attitude, from I to B."""
+    """Return m' a, which for the matrix of an attitude transforms `a` from I to B."""
     return (
         m[0] * a[0] + m[3] * a[1] + m[6] * a[2],
         m[1] * a[0] + m[4] * a[1] + m[7] * a[2],
@@ -128,7 +129,7 @@ def conjugate(q: Quaternion) -> Quaternion:
 
 @kernel
 def quaternion_of(rotation_vector: Vector) -> Quaternion:
-    """Return the unit quaternion of a rotation vector, rad."""
+    """Return the unit quaternion of a rotation vector in rad."""
     half = 0.5 * norm(rotation_vector)
     if half == 0.0:
         return (1.0, 0.0, 0.0, 0.0)
@@ -139,10 +140,10 @@ def quaternion_of(rotation_vector: Vector) -> Quaternion:
 
 @kernel
 def roll_and_tilt(q: Quaternion) -> Vector:
-    """Return roll and tilt of a unit quaternion from B to C, rad.
+    """Return roll and tilt (about y and z) of a unit quaternion from B to C, rad.
 
-    The roll is about x. The tilt is the rotation vector in axes y and z of B that turns x of C to x of B. The result
-    equals the rotation vector in B for small angles, and for turns about x or perpendicular to x.
+    The roll is about x. The tilt is the rotation vector, in axes y and z of B, that turns x of C to x of B. The result
+    equals the rotation vector in B for small angles, and for rotations about x or about an axis perpendicular to x.
     """
     w, x, y, z = q
     sine_y, sine_z = 2.0 * (x * z + w * y), 2.0 * (w * z - x * y)
@@ -150,23 +151,23 @@ def roll_and_tilt(q: Quaternion) -> Vector:
     if sine < 1e-4 and cosine > 0.0:
         k = 1.0 + sine * sine / 6.0  # the series of asin(x)/x, here exact to rounding
     else:
-        k = math.atan2(sine, cosine) / max(sine, 1e-9)  # opposite: any axis is right
+        k = math.atan2(sine, cosine) / max(sine, 1e-9)  # opposite axes: any axis of rotation is valid
     return (2.0 * math.atan2(x, w) if w >= 0.0 else 2.0 * math.atan2(-x, -w), k * sine_y, k * sine_z)
 
 
-Symmetric = tuple[float, float, float, float, float, float]  # xx, yy, zz, xy, xz, yz of an inertia *integral*
+Symmetric = tuple[float, float, float, float, float, float]  # xx, yy, zz, xy, xz, yz (of an inertia, its *integrals*)
 
 
 @kernel
 def symmetric_at(values: Array, first: int) -> Symmetric:
-    """Return six adjacent components of an array."""
+    """Return six adjacent components of an array, in the order of `Symmetric`."""
     i = first
     return values[i], values[i + 1], values[i + 2], values[i + 3], values[i + 4], values[i + 5]
 
 
 @kernel
 def inertia_times(j: Symmetric, w: Vector) -> Vector:
-    """Return the inertia tensor times a vector; products enter the tensor with a minus sign."""
+    """Return the product of the inertia tensor and a vector; the tensor contains the products with a minus sign."""
     return (
         j[0] * w[0] - j[3] * w[1] - j[4] * w[2],
         -j[3] * w[0] + j[1] * w[1] - j[5] * w[2],
@@ -176,9 +177,9 @@ def inertia_times(j: Symmetric, w: Vector) -> Vector:
 
 @kernel
 def inverse_inertia(j: Symmetric) -> Symmetric:
-    """Return the inverse of the inertia tensor, as the six numbers of a symmetric matrix.
+    """Return the inverse of the inertia tensor as a symmetric matrix.
 
-    They are xx, yy, zz, xy, xz, yz, without changes of sign.
+    Its elements are in the order xx, yy, zz, xy, xz, yz, without changes of sign.
     """
     a, b, c, d, e, f = j[0], j[1], j[2], -j[3], -j[4], -j[5]
     xx, yy, zz = b * c - f * f, a * c - e * e, a * b - d * d

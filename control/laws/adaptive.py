@@ -1,21 +1,25 @@
-"""Adaptive augmenting control: one total gain k_T on the output of any law, behind its bending filter.
+"""Adaptive augmenting control: a total gain k_T on the output of any law, after its bending filter.
 
     k_T = k_0 + k_a,    k_a' = a (k_max - k_a) / k_max e_r^2 - alpha k_a y_s - beta (k_T - 1),    0 <= k_a <= k_max
 
-The rate of k_a has three terms. An attitude error that exceeds that of a reference model, e_r, raises the gain. The
-content of the command above the control band, y_s, lowers the gain; y_s is the output of the spectral damper, the
-squared high-passed command after a low-pass. Leakage returns the gain to 1. The reference model is the rigid body under
-the desired law, driven by the commanded rate q_c:
+The rate of k_a has three terms:
+
+- e_r, the attitude error minus that of a reference model, raises the gain.
+- y_s, the content of the command above the control band, lowers the gain. It is the output of the spectral damper: the
+  high-passed command, squared and low-passed.
+- Leakage returns the gain to 1.
+
+The reference model is the rigid body with the desired law, driven by the commanded rate q_c:
 
     e' = q - q_c,    q' = -w^2 e - 2 zeta w q,    e_r = theta_e - e
 
-or with q - q_c in place of the last q for a law with an integral, whose error at a steady rate is zero.
+For a law with an integral, whose error at a steady rate is zero, q - q_c replaces the last q.
 
 Source: Orr & VanZwieten, Robust, Practical Adaptive Control for Launch Vehicles, AIAA 2012-4549; flown on the Space
-Launch System. Here Euler's rule integrates the gain, and the reference is exact for a rate that is constant over the
-sample. The high-pass is a second-order Butterworth filter, bilinear and exact at its corner; the low-pass is a
-first-order lag. At a constant k_T the loop is that of the law with all gains scaled, so the margins at both limits can
-be computed.
+Launch System. Here, Euler's method integrates the gain, and the reference model is exact for a rate that is constant
+over the sample. The high-pass is a second-order Butterworth filter, discretised bilinearly and exact at its corner; the
+low-pass is a first-order lag. At a constant k_T, the loop is that of the law with all gains scaled, so that the margins
+at the two limits of k_T can be computed.
 """
 
 from __future__ import annotations
@@ -41,11 +45,12 @@ class Adaptive:
     - `on`: 1 with adaptation.
     - `least`: k_0.
     - `span`: k_max.
-    - `error_gain`: a.
+    - `error_gain`: a, 1/(rad2 s).
     - `damper_gain`: alpha, 1/(rad2 s).
     - `leakage_ps`: beta.
-
-    `reference` (2, 3): e and q one sample later, from e, q and q_c. `high_pass` (1, 5): b0, b1, b2, a1, a2.
+    - `low_pass_share`: weight of a new sample in the low-pass.
+    - `reference` (2, 3): matrix that gives e and q one sample later from e, q and q_c.
+    - `high_pass` (1, 5): b0, b1, b2, a1, a2.
     """
 
     on: int = 0
@@ -63,8 +68,11 @@ class Adaptive:
 class AdaptiveState:
     """The state of adaptive augmenting control, per gimbal axis (pitch, yaw).
 
-    `begun` is 1 once the reference model has taken over error and rate. The other fields are k_a, k_T, the model's
-    error (rad) and rate (rad/s), e_r, y_s (rad2) and the memory of its high-pass.
+    - `begun`: 1 when the reference model has been initialised with the measured error and rate.
+    - `k_a`, `total`: k_a and k_T.
+    - `reference` (2, 2): error (rad) and rate (rad/s) of the reference model.
+    - `error_rad`, `damper_rad2`: e_r and y_s.
+    - `memory`: memory of the high-pass.
     """
 
     begun: Annotated[IntArray, (2,)]
@@ -92,8 +100,9 @@ def make_adaptive(
 ) -> Adaptive:
     """Return the parameters of adaptive augmenting control.
 
-    `error_gain`, `damper_gain`: 1/(rad2 s). Frequencies: Hz. `with_integral`: True for a law with an integral. Raises
-    ValueError for a high-pass beyond half the sample rate.
+    The limits of k_T are `least_gain` and `most_gain`. `error_gain` and `damper_gain` are in 1/(rad2 s).
+    `with_integral` is True for a law with an integral. Raises ValueError for a high-pass frequency that is not between
+    0 and half the sample rate.
     """
     if not 0.0 < high_pass_hz < 0.5 / sample_s:
         raise ValueError(f"high_pass_hz = {high_pass_hz:g}: allowed is above 0 and below {0.5 / sample_s:g}")
@@ -145,7 +154,10 @@ def augmented(
     sample_s: float,
     law_rad: float,
 ) -> float:
-    """Return the law's command times the total gain of this sample; `commanded_radps` (3,): rate over the sample."""
+    """Return the law's command times the total gain of this sample, rad.
+
+    `commanded_radps` (3,): commanded rate over the sample.
+    """
     axis = gimbal + 1
     at, step = state.reference[gimbal], adaptive.reference
     if state.begun[gimbal] == 0:

@@ -2,16 +2,16 @@
 
     delta = -k_p theta_e - k_d q_g [- i] + k_zd v + k_z z,    v = v + T (a - a_x theta_e),    z = z + T v
 
-v and z are the velocity and the displacement of the accelerometer's station across the reference trajectory, along +z
-in pitch and -y in yaw. The computer has no other navigation. It rotates the measured specific force (a lateral, a_x
-along the body) by the attitude error into the axes of the commanded attitude, and integrates it. Gravity equals that of
-the reference trajectory, and cancels. On a trajectory without lateral force, such as a gravity turn in still air, the
-reference is v = z = 0. A trajectory that the programme flies at an angle of attack adds its own drift.
+v and z are the velocity and the displacement of the accelerometer across the reference trajectory, along +z in pitch
+and -y in yaw. The computer has no other navigation. It rotates the measured specific force (lateral a, axial a_x) by
+the attitude error into the axes of the commanded attitude, and integrates it. Gravity equals that of the reference
+trajectory and cancels. On a trajectory without lateral force, such as a gravity turn in still air, the reference is v =
+z = 0. A trajectory that the programme flies at an angle of attack adds its own drift.
 
-Positive gains oppose the drift: air from below accelerates the body upwards (v < 0), and the nose is lowered. Greensite
-and Zavoli write delta = ... - k_zd v - k_z z, with negative gains. The errors of the accelerometer are integrated: a
-bias b gives the displacement b t^2 / 2. The attitude error is that of the gyro, not clamped. Its sine is approximated
-by the angle, with an error of 1 % at 14 deg. The linear model is design/laws/drift.py.
+Positive gains oppose the drift: wind from below accelerates the body upwards (v < 0), and the nose is lowered.
+Greensite and Zavoli write delta = ... - k_zd v - k_z z, with negative gains. Errors of the accelerometer are
+integrated: a bias b gives the displacement b t^2 / 2. The attitude error is that of the gyro, without its limit. Its
+sine is approximated by the angle, with an error of 1 % at 14 deg. The linear model is design/laws/drift.py.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ from maxq.control.laws.pid import Pid, PidState, integrate
 class DriftState:
     """The state of the drift feedback, per gimbal axis (pitch, yaw).
 
-    The fields are the gains in use, the drift velocity and displacement, and their share of the command. The drift is
-    along +z (pitch) and -y (yaw) of the commanded attitude.
+    - `k_zd_radspm`, `k_z_radpm`: gains in use.
+    - `velocity_mps`, `displacement_m`: drift along +z (pitch) and -y (yaw) of the commanded attitude.
+    - `share_rad`: contribution of the drift to the command.
     """
 
     k_zd_radspm: Annotated[Array, (2,)]
@@ -44,7 +45,7 @@ class DriftState:
 
 @kernel
 def start_drift(state: DriftState) -> None:
-    """Begin at the reference trajectory."""
+    """Set drift, gains and contribution to 0."""
     for gimbal in range(2):
         state.k_zd_radspm[gimbal], state.k_z_radpm[gimbal] = 0.0, 0.0
         state.velocity_mps[gimbal], state.displacement_m[gimbal], state.share_rad[gimbal] = 0.0, 0.0, 0.0
@@ -54,7 +55,7 @@ def start_drift(state: DriftState) -> None:
 def navigate_drift(
     state: DriftState, gimbal: int, lateral_mps2: float, axial_mps2: float, error_rad: float, sample_s: float
 ) -> None:
-    """Integrate the specific force of a sample: a_z (pitch) or a_y (yaw), and a_x, under the attitude error."""
+    """Integrate the specific force of a sample: a_z (pitch) or a_y (yaw), and a_x times the attitude error."""
     sign = 1.0 - 2.0 * gimbal
     state.velocity_mps[gimbal] += sample_s * (sign * lateral_mps2 - axial_mps2 * error_rad)
     state.displacement_m[gimbal] += sample_s * state.velocity_mps[gimbal]
@@ -71,7 +72,10 @@ def tick_drift(
     given: LawInputs,
     with_integral: int,
 ) -> float:
-    """Tick as `tick_pd` does, with four columns per axis in the gain table, or five with an integral (the third)."""
+    """Compute a tick as `tick_pd` does, plus the drift feedback, and the integral if `with_integral` is 1.
+
+    Each axis has four columns in the gain table, or five with an integral, whose gain is the third.
+    """
     law_rad, gimbal, columns = 0.0, given.gimbal, 4 + with_integral
     if given.on == 0:
         integral.integral_rad[gimbal] = 0.0

@@ -2,19 +2,19 @@
 
     delta = -k_p theta_e - k_d q_g + k_a a_f,      a_f = a_f + (1 - exp(-2 pi f T)) (a - a_f)
 
-Air from below accelerates the body upwards (a_z < 0). A positive k_a then lowers the nose into the wind and reduces the
-load q alpha, at the cost of drift and of margin at low frequency (Greensite, Analysis and Design of Space Vehicle
-Flight Control Systems, NASA CR-820, 1967, ch. 3). In yaw the sign of a is reversed, because a positive gimbal angle
-pushes to -y. The lag of the accelerometer attenuates bending. The linear model is design/laws/load_relief.py.
+Wind from below accelerates the body upwards (a_z < 0). A positive k_a then lowers the nose into the wind and reduces
+the load q alpha. The cost is drift, and margin at low frequency (Greensite, Analysis and Design of Space Vehicle Flight
+Control Systems, NASA CR-820, 1967, ch. 3). In yaw the sign of a is reversed, because a positive gimbal angle produces a
+force to -y. The lag of the accelerometer attenuates bending. The linear model is design/laws/load_relief.py.
 
 The law `incidence-relief` feeds back an estimate of the angle of attack:
 
-    delta = -k_p theta_e - k_d q_g - k_alpha alpha,    alpha = lag(a - p q') / b,    q' = (q_g - q_g before) / T
+    delta = -k_p theta_e - k_d q_g - k_alpha alpha,    alpha = lag(a - p q') / b,    q' = (q_g - previous q_g) / T
 
-Thrust moves both the accelerometer and the rate, with the ratio p = (da/d delta) / (dq'/d delta). Hence a - p q' is the
-acceleration of the centre of percussion, which is independent of the gimbal angle, with b = da/d alpha - p dq'/d alpha.
-The parameters p (percussion_m) and b (accel_per_incidence_mps2, negative) are columns of the gain table, with the
-values of the rigid body in nominal air.
+Thrust changes both the acceleration and the angular acceleration, with the ratio p = (da/d delta) / (dq'/d delta).
+Hence a - p q' is the acceleration of the centre of percussion, which is independent of the gimbal angle, with b = da/d
+alpha - p dq'/d alpha. The parameters p (percussion_m) and b (accel_per_incidence_mps2, negative) are columns of the
+gain table, with the values of the rigid body in nominal air.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from maxq.control.laws.pd import LawInputs, PdRecord, PdState, filtered, proport
 
 @dataclass(frozen=True)
 class LoadRelief:
-    """The parameters of both load-relief laws in addition to the gains."""
+    """The parameters of the load-relief laws in addition to the gains."""
 
     share: float  # 1 - exp(-2 pi f T), the weight of a new sample in the filtered acceleration
 
@@ -41,9 +41,12 @@ class LoadRelief:
 class LoadReliefState:
     """The state of load relief, per gimbal axis (pitch, yaw).
 
-    The fields are the gain in use (k_a, or -k_alpha / b), the filtered acceleration, its share of the command, the
-    estimated angle of attack and the last rate. The acceleration is a_z and a_y, or with `incidence-relief` that of the
-    centre of percussion to +z and -y.
+    - `k_a_s2pm`: gain in use, k_a or -k_alpha / b.
+    - `accel_mps2`: filtered acceleration, a_z and a_y, or with `incidence-relief` that of the centre of percussion
+      along +z and -y.
+    - `relief_rad`: contribution to the command.
+    - `incidence_rad`: estimated angle of attack.
+    - `rate_radps`: rate at the last sample.
     """
 
     k_a_s2pm: Annotated[Array, (2,)]
@@ -54,7 +57,7 @@ class LoadReliefState:
 
 
 def lag_share(corner_hz: float, sample_s: float) -> float:
-    """Return the share of a first-order lag sampled exactly for inputs that are constant over a sample."""
+    """Return the weight of a new sample in a first-order lag, exact for an input that is constant over a sample."""
     return -math.expm1(-2.0 * math.pi * corner_hz * sample_s)
 
 
@@ -69,7 +72,10 @@ def start_load_relief(state: LoadReliefState) -> None:
 def tick_load_relief(
     law: PdRecord, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, given: LawInputs
 ) -> float:
-    """Tick as `tick_pd` does, with three columns per axis in the gain table; the lag always runs."""
+    """Compute a tick as `tick_pd` does, plus load relief; the lag always runs.
+
+    Each axis has three columns in the gain table.
+    """
     law_rad, gimbal, sign = 0.0, given.gimbal, 1.0 - 2.0 * given.gimbal
     filters.accel_mps2[gimbal] += relief.share * (given.lateral_mps2 - filters.accel_mps2[gimbal])
     if given.on != 0 and law.gains.n_breaks != 0:
@@ -84,7 +90,10 @@ def tick_load_relief(
 def tick_incidence_relief(
     law: PdRecord, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, given: LawInputs
 ) -> float:
-    """Tick as `tick_load_relief` does, with five columns per axis in the gain table."""
+    """Compute a tick as `tick_load_relief` does, with the estimated angle of attack.
+
+    Each axis has five columns in the gain table.
+    """
     law_rad, gimbal, sign, at = 0.0, given.gimbal, 1.0 - 2.0 * given.gimbal, given.at
     if law.gains.n_breaks != 0:
         percussion_m, slope = look_up(pool, law.gains, at, 5 * gimbal + 3), look_up(pool, law.gains, at, 5 * gimbal + 4)

@@ -1,9 +1,9 @@
-"""Attitude control law: proportional and derivative, then a bending filter (Lee, Ahn & Roh eqs 33, 37 to 41).
+"""Attitude control law: proportional and derivative terms, then a bending filter (Lee, Ahn & Roh eqs 33, 37 to 41).
 
     delta_pd = -k_p theta_e - k_d q_g,    theta_e = integral of (q_g - q_c)
 
-A positive error gives a negative command, because a positive gimbal angle turns the body positively. The linear model
-is design/laws/pd.py.
+A positive error gives a negative command, because a positive gimbal angle produces a positive turn of the body. The
+linear model is design/laws/pd.py.
 """
 
 from __future__ import annotations
@@ -69,9 +69,9 @@ class GainSchedule:
 class PdRecord:
     """The parameters of PD; pairs are per gimbal axis (pitch, yaw).
 
-    `gains`: table of k_p, k_d in pitch, then in yaw (`gains_table`); none means a law that gives 0.
-    `sections` (2, MAX_SECTIONS, 5): b0, b1, b2, a1, a2 of each section of the bending filters; `n_sections` (2,).
-    `moving`: bending filter that changes over the flight, ahead of these sections.
+    - `gains`: table of k_p, k_d in pitch, then in yaw (`gains_table`); with `NO_TABLE` the law returns 0.
+    - `sections` (2, MAX_SECTIONS, 5), `n_sections` (2,): b0, b1, b2, a1, a2 of each section of the bending filters.
+    - `moving`: bending filter that changes over the flight, upstream of these sections.
     """
 
     gains: TableRef
@@ -85,8 +85,8 @@ class PdState:
     """The state of PD; pairs are per gimbal axis (pitch, yaw).
 
     - `k_p`, `k_d_s`: gains in use.
-    - `pd_rad`: delta_pd.
-    - `filtered_rad`: delta_pd after the bending filter.
+    - `pd_rad`: output of the law before the bending filter (delta_pd for PD).
+    - `filtered_rad`: output of the bending filter.
     - `filter_memory`: memory of each section.
     - `moving`: state of a bending filter that changes.
     """
@@ -102,8 +102,9 @@ class PdState:
 def gains_table(pitch: GainSchedule, yaw: GainSchedule | None = None) -> Cubics:
     """Return the table of the gains in pitch, then in yaw, over their common variable.
 
-    The columns of an axis are k_p, k_d_s and, with an integral, k_i_ps. Without `yaw` the gains of pitch are used.
-    Raises ValueError for columns of different lengths, for axes over different quantities, and as `tables.fit` does.
+    The columns of an axis are those of `GainSchedule.columns`. Without `yaw`, the gains of pitch are used for both
+    axes. Raises ValueError for columns of different lengths, for axes with different variables, and as `tables.fit`
+    does.
     """
     if yaw is not None and yaw.over != pitch.over:
         raise ValueError(f"gains of yaw over {yaw.over}: allowed is {pitch.over}, as in pitch")
@@ -121,7 +122,7 @@ def gains_table(pitch: GainSchedule, yaw: GainSchedule | None = None) -> Cubics:
 def make_pd(
     gains: TableRef, sample_ns: int, *filters: DiscreteFilter | None, moving: MovingFilter | None = None
 ) -> PdRecord:
-    """Return the PD parameters with `filters` in pitch and yaw, where None passes the input unchanged.
+    """Return the PD parameters with `filters` in pitch and yaw, where None is no filter.
 
     Raises ValueError for a filter with another sample period.
     """
@@ -158,21 +159,21 @@ class LawInputs(NamedTuple):
     """The inputs of a law for one axis at a sample."""
 
     gimbal: int  # 0 pitch, 1 yaw
-    at: float  # argument of the gain table: flight time, or the variable of the schedule
+    at: float  # argument of the gain table: flight time, or another variable of the schedule
     error_rad: float  # attitude error
     rate_radps: float
     lateral_mps2: float  # a_z (pitch) or a_y (yaw); 0 without load relief
     sample_s: float
-    cut_rad: float  # the previous command if the limit cut it, else 0
-    on: int  # 0: the law commands nothing
+    cut_rad: float  # the previous command if it exceeded the limit, otherwise 0
+    on: int  # with 0, the law commands nothing
 
 
 @kernel
 def tick_pd(law: PdRecord, pool: Array, state: PdState, given: LawInputs) -> float:
-    """Return the filtered command of an axis, rad (eq 33).
+    """Return the filtered command of an axis, rad (eq. 33).
 
-    With `on` = 0 the input of the filter is 0. The filter always runs, so that it is settled when the law takes over
-    again.
+    With `on` = 0 the input of the filter is 0. The filter always runs, so that it causes no transient when the law is
+    switched on again.
     """
     pd_rad = 0.0
     if given.on != 0 and law.gains.n_breaks != 0:
@@ -182,7 +183,7 @@ def tick_pd(law: PdRecord, pool: Array, state: PdState, given: LawInputs) -> flo
 
 @kernel
 def proportional_derivative(law: PdRecord, pool: Array, state: PdState, given: LawInputs, columns: int) -> float:
-    """Return -k_p theta_e - k_d q_g, rad; k_p and k_d are the first of an axis's `columns` in the gain table."""
+    """Return -k_p theta_e - k_d q_g, rad; k_p and k_d are the first two of an axis's `columns` in the gain table."""
     gimbal, at = given.gimbal, given.at
     k_p = look_up(pool, law.gains, at, columns * gimbal)
     k_d_s = look_up(pool, law.gains, at, columns * gimbal + 1)
@@ -193,7 +194,7 @@ def proportional_derivative(law: PdRecord, pool: Array, state: PdState, given: L
 
 @kernel
 def filtered(law: PdRecord, state: PdState, gimbal: int, law_rad: float) -> float:
-    """Return the bending filter's output for a law's command, rad."""
+    """Return the output of the bending filter for a law's command, rad."""
     state.pd_rad[gimbal] = law_rad
     if law.moving.table.n_breaks != 0:
         law_rad = moving_sample(law.moving, state.moving, gimbal, law_rad)

@@ -1,10 +1,11 @@
-"""Attitude control law: proportional, integral and derivative, then the bending filter of PD (pd.py).
+"""Attitude control law: proportional, integral and derivative terms, then the bending filter of PD (pd.py).
 
     delta = -k_p theta_e - k_d q_g - i,      i_n = i_(n-1) + T k_i theta_e
 
-The gain is inside the sum, so a change of the scheduled gain does not step the command. The anti-windup is conditional
-integration (Astrom & Hagglund, Advanced PID Control, 3.5). The integral is held while the last command was limited and
-the error would increase the excess. The integral also has its own limit. The linear model is design/laws/pid.py.
+The gain is inside the sum, so that a change of the scheduled gain does not cause a step of the command. The anti-windup
+is conditional integration (Astrom & Hagglund, Advanced PID Control, 3.5): the integral is held while the last command
+was limited and the error would increase the excess. The integral also has its own limit. The linear model is
+design/laws/pid.py.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def start_pid(state: PidState) -> None:
 
 @kernel
 def integrate(pid: Pid, integral: PidState, k_i_ps: float, given: LawInputs) -> None:
-    """Add the attitude error of a sample to the integral of an axis, which is held at its limit."""
+    """Add the attitude error of a sample to the integral of an axis, subject to its limit and the anti-windup."""
     gimbal = given.gimbal
     integral.k_i_ps[gimbal] = k_i_ps
     more_rad = given.sample_s * k_i_ps * given.error_rad
@@ -54,7 +55,10 @@ def integrate(pid: Pid, integral: PidState, k_i_ps: float, given: LawInputs) -> 
 
 @kernel
 def tick_pid(law: PdRecord, pid: Pid, pool: Array, state: PdState, integral: PidState, given: LawInputs) -> float:
-    """Tick as `tick_pd` does, with three columns per axis in the gain table. With `on` = 0 the integral is 0."""
+    """Compute a tick as `tick_pd` does, plus the integral, which is 0 with `on` = 0.
+
+    Each axis has three columns in the gain table.
+    """
     pid_rad, gimbal = 0.0, given.gimbal
     if given.on == 0:
         integral.integral_rad[gimbal] = 0.0

@@ -1,7 +1,7 @@
 """The channel table: name, unit, frame, topic and rate of each logged number.
 
-Channels are declared by the NamedTuples that kernels fill (control/kernel/rows.py). Columns of the kernel's rows,
-protobuf schemas, plots and docs/telemetry.md are all derived from one `ChannelTable`.
+Channels are declared by the NamedTuples that kernels fill (control/kernel/rows.py). The columns of the kernels' rows,
+protobuf schemas, plots and docs/telemetry.md all follow from one `ChannelTable`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _TOPIC_NAME = re.compile(r"(/[a-z][a-z0-9_]*)+")
 
 
 def unit_suffix(unit: str) -> str:
-    """Return the end of a name for a unit: `rad/s` -> `radps`, `m/s^2` -> `mps2`, `1/s` -> `ps`, `1` -> ``."""
+    """Return the suffix of a name for a unit: `rad/s` -> `radps`, `m/s^2` -> `mps2`, `1/s` -> `ps`, `1` -> ``."""
     per = unit.removeprefix("1").replace("/", "p").replace("%", "pct")
     return re.sub(r"[^A-Za-z0-9]", "", per)
 
@@ -30,8 +30,8 @@ class Channel:
     """A logged number.
 
     `name` ends with the suffix of `unit` (see `unit_suffix`; upper or lower case) unless `unit` is "1". It contains
-    `frame` as one of its parts unless `frame` is "": `w_BI_B_y_radps` has unit rad/s and frame B. The name becomes that
-    of a protobuf field. Raises ValueError if the name breaks these rules.
+    `frame` as one of its parts unless `frame` is "": `w_BI_B_y_radps` has the unit rad/s and the frame B. The name is
+    also that of a protobuf field. Raises ValueError for a name that breaks these rules.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Channel:
 
 
 def declared_channels(row: type, part: str = "", label: str = "", suffix: str = "") -> tuple[Channel, ...]:
-    """Return the channels of the NamedTuple that declares them (control/kernel/rows.py), in the order of writing.
+    """Return the channels that a NamedTuple declares (control/kernel/rows.py), in the order of writing.
 
     For parts of which a vehicle has several, `label` replaces the word `part` in the names (`eta_mode_m` ->
     `eta_pitch_1_m`), and `suffix` ends the descriptions.
@@ -76,8 +76,8 @@ def declared_channels(row: type, part: str = "", label: str = "", suffix: str = 
 class Topic:
     """The channels that are logged in one message.
 
-    `name` is of the form `/truth`. `group` is the rate group with the times of its messages ("fast", "slow", ...).
-    Raises ValueError for an invalid name, for no channels at all, and for the topics that every log contains.
+    `name` has the form `/truth`. `group` is the rate group, which has the times of the messages ("fast", "slow", ...).
+    Raises ValueError for an invalid name, for a topic without channels, and for the topics that every log contains.
     """
 
     name: str
@@ -114,8 +114,8 @@ def declared_topics(group: str, rows: type) -> list[Topic]:
 class ChannelTable:
     """All topics of a log, in order.
 
-    The columns of a rate group are the channels of its topics, in the order of the table. Raises ValueError if a topic,
-    a message or a channel name occurs twice.
+    The columns of a rate group are the channels of its topics, in the order of the table. Raises ValueError if the name
+    of a topic, a message or a channel occurs twice.
     """
 
     topics: tuple[Topic, ...]
@@ -131,7 +131,7 @@ class ChannelTable:
         return tuple(self._columns)
 
     def columns(self, group: str) -> tuple[Channel, ...]:
-        """Return the channels of a rate group in the order of its columns, none for an unknown group."""
+        """Return the channels of a rate group in the order of its columns; none for an unknown group."""
         return self._columns.get(group, ())
 
     @property
@@ -143,15 +143,15 @@ class ChannelTable:
         return name in self._places
 
     def channel(self, name: str) -> Channel:
-        """Return the channel of that name; raise KeyError if there is none."""
+        """Return the channel of that name. Raises KeyError if there is none."""
         return self._places[name][2]
 
     def topic(self, name: str) -> Topic:
-        """Return the topic that holds the channel of that name; raise KeyError if there is none."""
+        """Return the topic that contains the channel of that name. Raises KeyError if there is none."""
         return self._places[name][0]
 
     def index(self, name: str) -> int:
-        """Return the column of a channel within its rate group; raise KeyError if there is no such channel."""
+        """Return the column of a channel within its rate group. Raises KeyError if there is no such channel."""
         return self._places[name][1]
 
     @cached_property

@@ -1,8 +1,8 @@
 """Events: commands that take effect, ignition, burnout, separation, and events that depend on the state.
 
-Instants known in advance are met exactly, because no step extends beyond them. Liftoff, apogee and impact depend on the
-state. A step that crosses such an event is repeated with adjusted lengths until the crossing is known to the
-nanosecond.
+Instants known in advance are met exactly, because no step extends beyond them. Liftoff, apogee, impact and the end of
+the rail depend on the state. A step that crosses such an event is repeated with adjusted lengths until the crossing is
+known to the nanosecond.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ from maxq.sim.world.turbulence import turbulence_tick
 
 @kernel
 def record_event(p: Parameters, memory: Memory, event: int, now_ns: int) -> None:
-    """Record the first time of an event; end the flight if it is an event of run.stop_at."""
+    """Record the first occurrence of an event, and end the flight if the event is in run.stop_at."""
     if memory.clock.event_ns[event] < 0:
         memory.clock.event_ns[event] = now_ns
         if event == LIFTOFF and p.faults.count > 0:
-            memory.faults.next_ns = now_ns  # the instants of faults timed from liftoff are known now
+            memory.faults.next_ns = now_ns  # from now on, the instants of faults timed from liftoff are known
     if (p.timeline.stop_mask >> event) & 1 == 1:
         memory.clock.finished = 1
 
 
 @routine
 def burn_out(p: Parameters, memory: Memory, y: Array) -> None:
-    """End the thrust of a stage now. It is a burnout unless the guidance has cut it off before a restart."""
+    """End the thrust of a stage now; it is a burnout unless the guidance has commanded a cutoff before a restart."""
     clock, burnout = memory.clock, memory.burnout
     memory.held.burning = 0
     clock.stage_burnout_ns[clock.stage] = clock.now_ns
@@ -67,13 +67,13 @@ def burn_out(p: Parameters, memory: Memory, y: Array) -> None:
     vec.set_vector(burnout.v_I_mps, 0, vec.vector_at(y, V_I))
     if clock.cut_off_ns > 0 and memory.computer.burns.number + 1 < p.computer.burns.count:
         return
-    clock.event_ns[BURNOUT] = -1  # the last stage's burnout counts
+    clock.event_ns[BURNOUT] = -1  # the burnout of the last stage counts
     record_event(p, memory, BURNOUT, clock.now_ns)
 
 
 @kernel
 def restart(memory: Memory) -> None:
-    """Ignite the last engine again now. Its schedule continues where the cutoff stopped it."""
+    """Ignite the last stage's engine again; its schedule continues from the time of the cutoff."""
     clock, n = memory.clock, memory.clock.restarts
     clock.restart_ns[n], clock.restart_cut_off_ns[n], clock.restart_stage[n] = (
         clock.now_ns,
@@ -92,7 +92,7 @@ def restart(memory: Memory) -> None:
 def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux: Aux, properties: Array) -> int:
     """Process all events that are due now.
 
-    Returns 1 if the engine has been ignited for the first time, has burned out or was cut off. A restart sets
+    Returns 1 if the engine was ignited for the first time, burned out or was cut off, otherwise 0. A restart sets
     `clock.fresh` instead.
     """
     clock, held = memory.clock, memory.held
@@ -124,13 +124,13 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
             if p.environment.penetration == 1:
                 way_m = air.airspeed_mps * 1e-9 * turbulence.tick_ns
                 history_tick(memory.history, memory.gusts, way_m, p.environment.reach_m)
-    apply_due_command(p, memory)  # before the sample, whose command replaces the pending one
+    apply_due_command(p, memory)  # before the sample, whose command replaces the pending command
     if now >= clock.next_sample_ns:
         if p.computer.over != 0 or p.computer.external != 0:
             navigate(p.environment, pool, y, properties[TOTAL_MASS], memory.computer.navigation)
         sample_computer(p, pool, memory, y)
         clock.next_sample_ns = now + p.computer.sample_ns
-        apply_due_command(p, memory)  # and after it, because without a delay its command is due at once
+        apply_due_command(p, memory)  # again, because a command without delay is due at once
     return changed
 
 
@@ -138,8 +138,8 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
 def apply_due_command(p: Parameters, memory: Memory) -> None:
     """Pass a command that is due to the actuators and thrusters, which hold it.
 
-    After burnout the engine is commanded to its centre, because without thrust the law could only drive it against its
-    stops.
+    After burnout the gimbals are commanded to their centre, because without thrust the law could only drive them
+    against their stops.
     """
     clock, held = memory.clock, memory.held
     if clock.now_ns >= clock.command_due_ns:
@@ -157,7 +157,10 @@ def apply_due_command(p: Parameters, memory: Memory) -> None:
 
 @routine
 def navigate(environment: Environment, pool: Array, y: Array, mass_kg: float, navigation: Array) -> None:
-    """Compute the variables of gain schedules other than time, without error (`OVER` of control/structures.py)."""
+    """Write the variables of gain schedules other than time, without error, to `navigation` (3,).
+
+    They are those of `OVER` in control/structures.py.
+    """
     earth = environment.earth
     vx, vy, vz = velocity_over_ground(earth, y)
     squares = vx * vx + vy * vy + vz * vz
@@ -232,7 +235,7 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
 
 @routine
 def sample_sensors(p: Parameters, memory: Memory, y: Array) -> None:
-    """Compute the outputs of the sensors beyond the gyro since the last sample, with noise, and mark lost samples."""
+    """Write the outputs of the sensors after the gyro since the last sample, with noise, and mark lost samples."""
     sample, seed, root_s = memory.clock.samples, p.timeline.seed, math.sqrt(1e-9 * p.computer.sample_ns)
     read, faults = memory.computer.sensors, memory.held.faults
     for k in range(p.vehicle.sizes.sensors):
@@ -264,7 +267,7 @@ def move_sensors(before: Parameters, after: Parameters, y: Array) -> None:
 
 @kernel
 def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> int:
-    """Return the nanoseconds to the next instant at which a step must end."""
+    """Return the time to the next instant at which a step must end, ns."""
     clock, timeline = memory.clock, p.timeline
     now = clock.now_ns
     end = NEVER
@@ -314,7 +317,7 @@ def advance_schedule(p: Parameters, pool: Array, memory: Memory) -> None:
 
 @routine
 def event_function(p: Parameters, memory: Memory, event: int, y: Array, properties: Array, aux: Aux) -> float:
-    """Return a number that becomes positive when `event` happens; `aux` is that of the start of the step."""
+    """Return a number that becomes positive when `event` occurs; `aux` belongs to the start of the step."""
     if event == RAIL_EXIT:
         return rail_surplus(p.launch, memory.launch, y)
     if event == LIFTOFF:
@@ -329,7 +332,7 @@ def event_function(p: Parameters, memory: Memory, event: int, y: Array, properti
 
 @routine
 def detect_loss_of_control(p: Parameters, memory: Memory, aux: Aux) -> None:
-    """Record the events detected at the start of a step: loss of control, tumbling."""
+    """Record the events detected at the start of a step: loss of control and tumbling."""
     if memory.held.on_pad == 1:
         return
     clock, timeline, error_rad = memory.clock, p.timeline, memory.truth.error_rad
@@ -347,11 +350,11 @@ def transfer_state(
 ) -> None:
     """Separate a stage: the upper stage continues with the motion of the whole vehicle at its own core CG.
 
-    Its modes take their part of the motion of the bent axis, and the rigid motion takes the rest (docs/model.md, 4.10).
-    Engine and bobs start at rest, unless the stage continues. Boosters that leave keep their momentum. An impulse and
-    springs push the stage forward: springs of energy E give both parts the momentum sqrt(2 E m_1 m_2 / (m_1 + m_2)).
-    Tip-off rates are added. `old` and `new` are the properties before and after; `whole` is overwritten. Stations are
-    measured from the nose, which is unchanged.
+    Its modes take their part of the motion of the bent axis, and the rigid body takes the rest (docs/model.md, 4.10).
+    Engines and bobs start at rest, unless the stage continues. Boosters that separate keep their momentum. An impulse
+    and springs accelerate the stage: springs of energy E give both parts the momentum sqrt(2 E m_1 m_2 / (m_1 + m_2)).
+    Tip-off rates are added. `old` and `new` are the properties before and after; `whole` is scratch memory. Stations
+    are measured from the nose, which is the same before and after.
     """
     size, handed_on = counts(before.vehicle.sizes), after.timeline.handed_on
     rate, turned = vec.vector_at(y, W_BI_B), (0.0, 0.0, 0.0)
@@ -365,7 +368,7 @@ def transfer_state(
         faster, turning = bent_motion(size, pool, handed_on, 1, nose, whole)
         shift = vec.add(shift, moved)
         gained = vec.add(gained, vec.add(faster, carried(rate, moved)))
-        rate = vec.add(rate, vec.add(turning, carried(rate, turned)))  # in the turned axes
+        rate = vec.add(rate, vec.add(turning, carried(rate, turned)))  # in the rotated axes
     rotation = vec.rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
     shift_I, velocity_I = vec.rotate(rotation, shift), vec.rotate(rotation, gained)
     if handed_on >= 0:
@@ -405,10 +408,10 @@ def transfer_state(
 
 @routine
 def keep_parts(old: Counts, new: Counts, turned: vec.Vector, whole: Array, y: Array) -> None:
-    """Write the states of the parts that remain when boosters leave: they are the first of each kind.
+    """Write the states of the parts that remain when boosters separate; they are the first parts of each kind.
 
-    The modes of the remaining configuration are at rest until their motion is handed on. The axes B turn by `turned`,
-    rad. The bobs keep their inertial direction and rate.
+    The modes of the remaining configuration are at rest until their motion is transferred. The axes B rotate by
+    `turned`, rad. The bobs keep their inertial direction and rate.
     """
     for i in range(states.N_FIXED, states.state_size(new)):
         y[i] = 0.0
@@ -435,7 +438,10 @@ def keep_parts(old: Counts, new: Counts, turned: vec.Vector, whole: Array, y: Ar
 def bent_motion(
     sizes: Counts, pool: Array, at: int, rates: int, place: vec.Vector, y: Array
 ) -> tuple[vec.Vector, vec.Vector]:
-    """Return the modal displacement of a place from the nose and the rotation of the remaining part, or their rates."""
+    """Return modal displacement and rotation, or their rates, of the remaining part at `place`, relative to the nose.
+
+    `rates` is 0 for displacements and 1 for rates.
+    """
     moved = (
         handed(sizes, pool, at, 0, rates, y),
         handed(sizes, pool, at, 1, rates, y),
@@ -451,13 +457,13 @@ def bent_motion(
 
 @kernel
 def carried(rate: vec.Vector, moved: vec.Vector) -> vec.Vector:
-    """Return w x moved without the roll rate's contribution along y and z, which quasi-velocities already include."""
+    """Return w x moved without the roll-rate terms along y and z, which quasi-velocities already include."""
     return (rate[1] * moved[2] - rate[2] * moved[1], rate[2] * moved[0], -rate[1] * moved[0])
 
 
 @routine
 def handed(sizes: Counts, pool: Array, at: int, row: int, rates: int, y: Array) -> float:
-    """Return a row of the matrix at `at` of the pool times the coordinates of all modes, or their quasi-velocities."""
+    """Return a row of the matrix at pool[at:] times the coordinates of all modes, or times their quasi-velocities."""
     total, column = 0.0, at + row * (sizes.pitch_modes + sizes.yaw_modes + sizes.spatial_modes)
     for k in range(3):
         first, modes = modes_in(sizes, k)
@@ -471,7 +477,7 @@ def handed(sizes: Counts, pool: Array, at: int, row: int, rates: int, y: Array) 
 def modes_in(sizes: Counts, kind: int) -> tuple[int, int]:
     """Return the first state and the number of the modes in pitch (0), in yaw (1), or in space (2).
 
-    The rates of the modes follow.
+    The quasi-velocities of the modes follow their coordinates.
     """
     if kind == 0:
         return states.eta_index(sizes), sizes.pitch_modes

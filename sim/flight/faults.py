@@ -1,6 +1,6 @@
-"""The faults of the scenario in flight: values and times of their writes into the array that the components read.
+"""The faults of a scenario in flight: values and times of their writes into the array that the components read.
 
-The instants are known in advance, or once the vehicle has lifted off, so that no step extends beyond one.
+The instants are known in advance, or once the vehicle has lifted off, so that no step extends beyond such an instant.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from maxq.sim.vehicle.faults import ANY_FAULT, N_FAULT_SLOTS
 class Faults:
     """The writes into slots (sim/vehicle/faults.py), one per row.
 
-    Of two writes to one slot the later row is in force.
+    If two active rows write to the same slot, the later row applies.
     """
 
     count: int
-    stage: Annotated[IntArray, (MAX_FAULT_WRITES,)]  # -1: the current stage
+    stage: Annotated[IntArray, (MAX_FAULT_WRITES,)]  # stage in which the row applies; -1: any
     start_ns: Annotated[IntArray, (MAX_FAULT_WRITES,)]
     stop_ns: Annotated[IntArray, (MAX_FAULT_WRITES,)]
-    since_liftoff: Annotated[IntArray, (MAX_FAULT_WRITES,)]  # 1: both count from liftoff
+    since_liftoff: Annotated[IntArray, (MAX_FAULT_WRITES,)]  # 1: both times count from liftoff
     slot: Annotated[IntArray, (MAX_FAULT_WRITES,)]
     value: Annotated[Array, (MAX_FAULT_WRITES,)]
-    # of the state whose value as the fault begins is written: its number, -1 for none, or -2 less its number among
-    # those of the sensors beyond the gyro, which have another place in each stage
+    # index of a state whose value at the start of the fault is written; -1 for none; -2 minus the index among the
+    # states of the sensors after the gyro, whose place differs between stages
     state: Annotated[IntArray, (MAX_FAULT_WRITES,)]
 
 
@@ -37,7 +37,7 @@ class Faults:
 class FaultMemory:
     """The state of the faults by row: 1 if the fault is active, and its value."""
 
-    next_ns: int  # when a fault begins or ends; the first instant of the flight is one
+    next_ns: int  # next instant at which a fault begins or ends; initially the first instant of the flight
     on: Annotated[IntArray, (MAX_FAULT_WRITES,)]
     written: Annotated[Array, (MAX_FAULT_WRITES,)]
 
@@ -62,9 +62,9 @@ def switch_faults(
     y: Array,
     slots: Array,
 ) -> None:
-    """Write the current values into `slots`, and the instant of the next change into the memory.
+    """Write the current values into `slots`, and the instant of the next change into `memory`.
 
-    `sensors`: index of the first state of the sensors beyond the gyro.
+    `sensors`: index of the first state of the sensors after the gyro.
     """
     for slot in range(N_FAULT_SLOTS):
         slots[slot] = 0.0

@@ -1,8 +1,8 @@
-"""Signals that a scenario injects: into the gimbal or rate command (at the computer's samples), as body loads, or
-as a share of the thrust.
+"""Injected signals: added to a command of the computer, to the loads on the body, or to the thrust.
 
-A signal switches on and off only at step boundaries, because the flight loop splits its steps there. In between it is
-evaluated at every stage of a step, so that a smooth signal preserves the integrator's order.
+Signals in the gimbal or rate command are evaluated at the computer's samples. Signals switch on and off only at step
+boundaries, because the flight loop splits its steps there. Body loads and thrust are evaluated at every stage of a
+step, so that a smooth signal preserves the integrator's order.
 """
 
 from __future__ import annotations
@@ -16,13 +16,16 @@ from maxq.control.kernel.limits import MAX_INJECTIONS, MAX_TONES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate
 
-GIMBAL_COMMAND, RATE_COMMAND, BODY_FORCE, BODY_TORQUE, THRUST = range(5)  # place of a signal
+GIMBAL_COMMAND, RATE_COMMAND, BODY_FORCE, BODY_TORQUE, THRUST = range(5)  # where a signal acts
 STEP, DOUBLET, SINE, CHIRP, MULTISINE, TABLE = range(6)  # form of a signal
 
 
 @dataclass(frozen=True)
 class Injections:
-    """The injected signals. Axis: 0 roll or x, 1 pitch or y, 2 yaw or z. Amplitudes in SI (rad, rad/s, N, N m, 1)."""
+    """The parameters of the injected signals.
+
+    `axis`: 0 roll or x, 1 pitch or y, 2 yaw or z. `amplitude`: SI units (rad, rad/s, N, N m; 1 for the thrust).
+    """
 
     count: int
     where: Annotated[IntArray, (MAX_INJECTIONS,)]
@@ -43,7 +46,7 @@ class Injections:
 
 @routine
 def signal(inj: Injections, pool: Array, i: int, step_start_ns: int, elapsed_s: float) -> float:
-    """Return the value of signal `i`, `elapsed_s` after the start of a step: zero unless it is on during that step."""
+    """Return the value of signal `i`, `elapsed_s` after the start of a step; zero if it is off in that step."""
     if step_start_ns < inj.start_ns[i] or step_start_ns >= inj.stop_ns[i]:
         return 0.0
     form, amplitude = inj.form[i], float(inj.amplitude[i])
@@ -70,7 +73,7 @@ def signal(inj: Injections, pool: Array, i: int, step_start_ns: int, elapsed_s: 
 
 @routine
 def total_signal(inj: Injections, pool: Array, where: int, axis: int, step_start_ns: int, elapsed_s: float) -> float:
-    """Return the sum of the signals at one place on one axis."""
+    """Return the sum of the signals that act at one place on one axis."""
     total = 0.0
     for i in range(inj.count):
         if inj.where[i] == where and inj.axis[i] == axis:
@@ -80,7 +83,7 @@ def total_signal(inj: Injections, pool: Array, where: int, axis: int, step_start
 
 @kernel
 def replaced(inj: Injections, where: int, axis: int, now_ns: int) -> int:
-    """Return 1 while a signal replaces the value at its place."""
+    """Return 1 if a signal replaces the value at its place at this instant, otherwise 0."""
     for i in range(inj.count):
         if inj.where[i] == where and inj.axis[i] == axis and inj.replaces[i] == 1:
             if inj.start_ns[i] <= now_ns < inj.stop_ns[i]:
@@ -90,7 +93,7 @@ def replaced(inj: Injections, where: int, axis: int, now_ns: int) -> int:
 
 @routine
 def next_switch(inj: Injections, pool: Array, now_ns: int, latest_ns: int) -> int:
-    """Return the first instant after `now_ns`, at most `latest_ns`, at which a signal has a kink."""
+    """Return the first instant after `now_ns`, at most `latest_ns`, at which a signal or its slope jumps."""
     best = latest_ns
     for i in range(inj.count):
         middle = (inj.start_ns[i] + inj.stop_ns[i]) // 2

@@ -1,7 +1,7 @@
 """The launch: the rail that guides a small rocket, and the clearance to a tower next to the pad.
 
-The vehicle at the tower is a rigid cylinder from its nose to the nozzle exits, and the tower a vertical cylinder. Its
-foot is at the height of the exits on the pad. Bending is neglected.
+The vehicle is a rigid cylinder from its nose to the nozzle exits, without bending. The tower is a vertical cylinder,
+whose foot is at the height of the nozzle exits on the pad.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from maxq.sim.vehicle.derivative import Held
 from maxq.sim.vehicle.environment import velocity_over_ground
 from maxq.sim.world.earth import Earth, earth_rotation, inertial_to_earth
 
-RAIL_EXIT = 100  # behind the events of parameters.py, which are part of a flight's state
+RAIL_EXIT = 100  # after the events of parameters.py, which are part of a flight's state
 
 
 @dataclass(frozen=True)
 class Launch:
     """The parameters of the launch.
 
-    - `rail_m`: travel guided by the rail; 0: none.
-    - `tower_m`: height of the tower; 0: none.
-    - `tower_E_m`: horizontal vector from the vehicle's tail on the pad to the tower's axis, in E.
+    - `rail_m`: travel guided by the rail; 0: no rail.
+    - `tower_m`: height of the tower; 0: no tower.
+    - `tower_E_m`: horizontal vector from the vehicle's tail on the pad to the axis of the tower, in E.
     - `up_E`: vertical of the site, in E.
-    - `radii_m`: radii of vehicle and tower together.
+    - `radii_m`: sum of the radii of vehicle and tower.
     - `tail_station_m`: station of the rearmost nozzle exit.
     """
 
@@ -44,13 +44,13 @@ class Launch:
 
 @dataclass
 class LaunchMemory:
-    """The state of the launch. Times are -1 as long as nothing was measured.
+    """The state of the launch; times are -1 until there is a value.
 
-    - `rail_x_m`: position along the body axis at liftoff from the rail, which turns with the Earth as the axis does.
-    - `rail_exit_ns`, `rail_exit_mps`: when the rail's end was reached, and the speed there relative to the Earth.
-    - `tail_E_m`: tail at the start, in E.
-    - `clearance_m`, `drift_m`: least distance to the tower, and largest horizontal displacement of the tail below its
-      top.
+    - `rail_x_m`: position along the body axis at liftoff from the rail, which rotates with the Earth, as does the axis.
+    - `rail_exit_ns`, `rail_exit_mps`: time at the end of the rail, and speed there relative to the Earth.
+    - `tail_E_m`: position of the tail at the start, in E.
+    - `clearance_m`, `drift_m`: least distance to the tower, and largest horizontal displacement of the tail below the
+      tower's top, with their times.
     - `clear`: 1 after the tail has passed the top.
     """
 
@@ -82,7 +82,7 @@ def along_axis(y: Array) -> float:
 
 @routine
 def lift_off(launch: Launch, state: LaunchMemory, held: Held, y: Array) -> None:
-    """Release the vehicle, which its rail continues to guide if there is one."""
+    """Release the vehicle from the pad, and begin the guidance by the rail if there is a rail."""
     held.on_pad = 0
     if launch.rail_m > 0.0:
         held.on_rail, state.rail_x_m = 1, along_axis(y)
@@ -90,14 +90,14 @@ def lift_off(launch: Launch, state: LaunchMemory, held: Held, y: Array) -> None:
 
 @routine
 def rail_surplus(launch: Launch, state: LaunchMemory, y: Array) -> float:
-    """Return the travel beyond the end of the rail, m."""
+    """Return the travel beyond the end of the rail, m; negative on the rail."""
     surplus_m: float = along_axis(y) - state.rail_x_m - launch.rail_m
     return surplus_m
 
 
 @routine
 def leave_rail(earth: Earth, state: LaunchMemory, held: Held, y: Array, now_ns: int) -> None:
-    """End the guidance by the rail."""
+    """End the guidance by the rail, and record the time and the speed."""
     held.on_rail = 0
     state.rail_exit_ns, state.rail_exit_mps = now_ns, vec.norm(velocity_over_ground(earth, y))
 
@@ -130,7 +130,7 @@ def track_tower(earth: Earth, launch: Launch, state: LaunchMemory, y: Array, pro
 
 @kernel
 def between(tail: vec.Vector, nose: vec.Vector, foot: vec.Vector, up: vec.Vector, height_m: float) -> float:
-    """Return the distance between the line from tail to nose and the vertical line of a height above `foot`.
+    """Return the distance between the line from tail to nose and the vertical line of a height above `foot`, m.
 
     Source: Ericson, Real-Time Collision Detection, section 5.1.9. `up` is a unit vector.
     """

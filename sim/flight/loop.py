@@ -36,7 +36,7 @@ class LogRows(NamedTuple):
 
 @entry
 def begin(P: Records, pool: Array, state: Records, y: Array) -> None:
-    """Set the memory of a flight to its start; `y` already holds the initial state of the first stage."""
+    """Set the memory of a flight to its start; `y` must contain the initial state of the first stage."""
     p, memory = P[0], state[0]
     clock = memory.clock
     clock.started = 1
@@ -79,7 +79,7 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
     cut_off = 0 < clock.cut_off_ns <= now
     burns = p.timeline.burn_start_ns <= now < p.timeline.burnout_ns + clock.idle_ns and not cut_off
     memory.held.burning = 1 if burns else 0
-    if cut_off:  # in a stage before, of which a part has been dropped: the gimbals remain centred
+    if cut_off:  # cutoff in an earlier stage, of which a part has been dropped; the gimbals remain centred
         clock.stage_burnout_ns[clock.stage] = clock.cut_off_ns
 
 
@@ -100,10 +100,12 @@ def advance(
 ) -> None:
     """Fly until `until_ns` or the end of the flight, whichever comes first.
 
-    `P` (stages,) of Parameters, `state` (1,) of Memory, `arena` (1,) of Arena, `log_of` (1,) of Logged. Log rows go to
-    `fast`, `slow` with their times (ns) and counts `rows` (2,). The end of a call does not change the flight if
-    `until_ns` is a multiple of the step. With steps of equal length the call ends with the first step that reaches
-    `until_ns`.
+    - `P` (stages,): Parameters.
+    - `state` (1,), `arena` (1,), `log_of` (1,): Memory, Arena and Logged.
+    - `fast_ns`, `fast`, `slow_ns`, `slow`, `rows` (2,): times, values and numbers of log rows.
+
+    The end of a call does not change the flight if `until_ns` is a multiple of the step. With steps of equal length,
+    the call ends with the first step that reaches `until_ns`.
     """
     memory, logged = state[0], log_of[0]
     clock = memory.clock
@@ -111,7 +113,7 @@ def advance(
     y_stage, rate, aux = bare_pointer(room.y_stage), bare_pointer(room.stage_rate), room.stage_aux
     start, middle = bare_pointer(room.start_properties), bare_pointer(room.middle_properties)
     pool = bare_pointer(pool)
-    space = step.Workspace(  # here, because no kernel can return a tuple with a record
+    space = step.Workspace(  # not in a function, because no kernel can return a tuple with a record
         start=Evaluation(start, bare_pointer(y), bare_pointer(room.start_rate), room.start_aux),
         middle=Evaluation(middle, y_stage, rate, aux),
         end=Evaluation(bare_pointer(room.end_properties), y_stage, rate, aux),
@@ -125,7 +127,7 @@ def advance(
     now_at, log_rows = space.start, LogRows(fast_ns, fast, slow_ns, slow, rows)
     while clock.finished == 0 and clock.now_ns < until_ns:
         p = P[clock.stage]
-        if clock.now_ns < p.timeline.separation_ns or clock.stage + 1 == len(P):  # slow to compile, so first
+        if clock.now_ns < p.timeline.separation_ns or clock.stage + 1 == len(P):  # first, because it is slow to compile
             fly_step(p, pool, memory, logged, until_ns, space, log_rows)
         else:
             separate(P, pool, memory, now_at.y, now_at.properties, space.end.properties, space.y_end)
@@ -194,7 +196,7 @@ def fly_step(
 
 @kernel
 def evaluate_exactly(p: Parameters, pool: Array, memory: Memory, space: step.Workspace) -> None:
-    """Evaluate the derivative at the start of a step, whose position becomes the anchor for the later stages."""
+    """Evaluate the derivative at the start of a step, whose position becomes the anchor of the later stages."""
     space.work.anchor.state = ANCHOR_DUE
     step.evaluate(p, pool, memory, memory.clock.now_ns, 0.0, space.start, space.work)
     for channel in range(2 + 2 * p.vehicle.sizes.further_groups):
@@ -203,7 +205,7 @@ def evaluate_exactly(p: Parameters, pool: Array, memory: Memory, space: step.Wor
 
 @routine
 def track_sections(p: Parameters, pool: Array, memory: Memory, space: step.Workspace, logged: int, last: int) -> None:
-    """Evaluate section loads when they are due, for the extremes or for a log row, right after `evaluate_exactly`."""
+    """Evaluate section loads that are due for the extremes or a log row, immediately after `evaluate_exactly`."""
     now, sections, at = memory.clock.now_ns, memory.sections, space.start
     due = now >= sections.due_ns
     if not due and (logged == 0 or (now % p.timeline.slow_ns != 0 and last == 0)):
@@ -223,12 +225,15 @@ def track_sections(p: Parameters, pool: Array, memory: Memory, space: step.Works
 def separate(
     P: Records, pool: Array, memory: Memory, y: Array, properties: Array, properties_after: Array, whole: Array
 ) -> None:
-    """Separate the stage that has burned out and continue with the next. `whole`: buffer for a state."""
+    """Separate the stage that has burned out, and continue with the next stage.
+
+    `whole` is scratch memory for a state.
+    """
     clock = memory.clock
     before, after = P[clock.stage], P[clock.stage + 1]
     ends = after.timeline.continues == 0 and clock.now_ns >= before.timeline.burnout_ns + clock.idle_ns
     if memory.held.burning == 1 and ends:
-        events.burn_out(before, memory, y)  # at the same instant, and first
+        events.burn_out(before, memory, y)  # at the same instant, before the separation
         if clock.finished == 1:
             return
     step.read_schedule(before, pool, memory, clock.now_ns, 0.0, properties)
@@ -263,7 +268,7 @@ def detect_crossing(p: Parameters, memory: Memory, space: step.Workspace) -> int
         ):
             return APOGEE
         return -1
-    # a vehicle that has just left a pad on the ground has not come down
+    # A vehicle that has just left a pad at ground altitude has not come down.
     above = aux.air.altitude_m > p.timeline.ground_altitude_m + 1e-3
     if above and events.event_function(p, memory, IMPACT, y, properties, aux) >= 0.0:
         return IMPACT
@@ -287,7 +292,7 @@ def apply_event(p: Parameters, memory: Memory, y: Array, event: int) -> None:
 
 @routine
 def locate_event(p: Parameters, pool: Array, memory: Memory, event: int, step_ns: int, space: step.Workspace) -> int:
-    """Return the shortest step, in whole ns, after which `event` has happened, and leave its state in `space.y_end`.
+    """Return the shortest step, in whole ns, after which `event` has occurred, and write its state to `space.y_end`.
 
     Method: regula falsi alternating with bisection, on the step length. Each trial repeats the step from its start.
     """
@@ -316,10 +321,10 @@ def locate_event(p: Parameters, pool: Array, memory: Memory, event: int, step_ns
 
 @routine_beside
 def log(p: Parameters, memory: Memory, logged: Logged, at: Evaluation, out: LogRows, now: int, last: int) -> None:
-    """Write the rows that are due at this instant; at the end of the flight always write both."""
+    """Write the rows that are due at this instant; at the end of the flight, write both."""
     rows = out.counts
     if rows[0] > 0 and out.fast_ns[rows[0] - 1] == now and last == 1:
-        return  # the flight ended at an instant that has been logged already
+        return  # this instant has been logged already
     if now % p.timeline.fast_ns == 0 or last == 1:
         fill_fast(p, logged, memory, at, out.fast[rows[0]])
         out.fast_ns[rows[0]] = now
@@ -343,7 +348,7 @@ def log_between(
         if due >= began + step_ns:
             break
         step.evaluate_between(p, pool, memory, began, step_ns, due - began, space)
-        clock.now_ns = due  # rows compute the Earth's rotation from it
+        clock.now_ns = due  # rows compute the Earth's rotation from this time
         if p.loads.stations > 0 and due % slow_ns == 0:
             clock_s = step.schedule_clock(p, memory.clock, due, 0.0)
             at = space.between

@@ -1,8 +1,8 @@
 """The metrics of a flight: names, units and meanings.
 
-A metric is declared once. It is a field of `MetricIndex` if the kernel gathers it (sim/flight/metrics.py). It is a
-field of another class if it follows from the extremes of sections and waves, the integration, or the flight's last
-instant (sim/run/metrics.py).
+A metric is declared once. Metrics that the kernel gathers (sim/flight/metrics.py) are fields of `MetricIndex`. Metrics
+that follow from the extremes of sections and waves, the integration, or the flight's last instant (sim/run/metrics.py)
+are fields of the other classes.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from maxq.sim.flight.channels import declared_channels
 
 
 class MetricIndex(NamedTuple):
-    """Index of each metric in `Extremes`, with its unit and its meaning."""
+    """The index of each metric in `Extremes`, with its unit and its meaning."""
 
     max_speed_mps: Annotated[int, "m/s", "largest speed relative to the Earth"]
     max_altitude_m: Annotated[int, "m", "largest altitude"]
@@ -48,7 +48,7 @@ N_METRICS = len(MetricIndex._fields)
 
 
 class EndMetrics(NamedTuple):
-    """The metrics of the flight's end. On a flat Earth latitude and longitude are nan, and the site is the origin."""
+    """The metrics at the flight's end; on a flat Earth, latitude and longitude are nan, and the site is the origin."""
 
     flight_time_s: Annotated[
         float, "s", "time from liftoff, or from the start of a flight without hold-down, to the end"
@@ -88,7 +88,7 @@ class StepMetrics(NamedTuple):
 
     Errors of single steps are estimated every half second, multiplied by the number of steps, and added as if they
     never cancelled or decayed. Errors of steps in which an engine starts or stops are added as squares. The position
-    error includes the effects of attitude and speed errors. None includes the effects through the control loop.
+    error includes the effects of attitude and speed errors. No error includes effects through the control loop.
     """
 
     step_error_attitude_deg: Annotated[float, "deg", "estimated integration error of the attitude"]
@@ -98,7 +98,7 @@ class StepMetrics(NamedTuple):
 
 
 class LaunchMetrics(NamedTuple):
-    """The metrics of the launch; nan without tower and rail."""
+    """The metrics of the launch; nan without a tower and a rail, respectively."""
 
     min_tower_clearance_m: Annotated[float, "m", "least distance of the vehicle to the tower; negative: contact"]
     max_tower_drift_m: Annotated[
@@ -149,7 +149,7 @@ METRIC_NAMES = tuple(METRICS)
 """The names that a requirement may use."""
 
 
-_SHORT = {  # where a name without its unit says less than it should
+_SHORT = {  # titles of metrics whose name without its unit is not clear
     "max_alpha_deg": "largest angle of attack",
     "max_q_alpha_Padeg": "largest q alpha",
     "max_powered_dynamic_pressure_Pa": "largest dynamic pressure under thrust",
@@ -169,9 +169,9 @@ _SHORT = {  # where a name without its unit says less than it should
 
 
 def title_of(metric: str) -> str:
-    """Return a metric's name for people, without its unit: "largest gimbal rate" for max_gimbal_rate_degps.
+    """Return a metric's title without its unit: "largest gimbal rate" for max_gimbal_rate_degps.
 
-    Any other name is returned as it is.
+    Any other name is returned unchanged.
     """
     if metric in _SHORT or metric not in METRICS:
         return _SHORT.get(metric, metric)

@@ -1,7 +1,7 @@
 """Flight metrics: maxima and totals gathered in the kernel at every step.
 
-A metric is declared as a field of `MetricIndex` (sim/flight/metric_table.py) and updated in `gather`. `Extremes` holds
-the value and the time of each.
+A metric is declared as a field of `MetricIndex` (sim/flight/metric_table.py) and updated in `gather`. `Extremes`
+contains the value and the time of each metric.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from maxq.sim.vehicle.state import R_I, V_I, Sizes, counts, pendulum_index
 from maxq.sim.vehicle.workspace import Aux, Evaluation
 
 STANDARD_GRAVITY_MPS2 = 9.80665
-SIGNIFICANT_PRESSURE_PA = 1000.0  # angle of attack below this dynamic pressure is of no consequence
+SIGNIFICANT_PRESSURE_PA = 1000.0  # below this dynamic pressure the angle of attack has no consequence
 
 
 METRIC = MetricIndex(*range(N_METRICS))
@@ -43,7 +43,7 @@ def largest_error(error_rad: Array) -> tuple[float, float]:
 
 @routine
 def gather(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: Evaluation) -> None:
-    """Update all metrics at an evaluation, which begins a step of `step_s`."""
+    """Update all metrics with an evaluation at the start of a step of `step_s`."""
     props, y, aux, extremes = at.properties, at.y, at.aux, memory.extremes
     turning = p.environment.earth.rate_radps
     vx, vy, vz = y[V_I] + turning * y[R_I + 1], y[V_I + 1] - turning * y[R_I], y[V_I + 2]

@@ -1,13 +1,14 @@
 """The fast linear parts of a vehicle, whose motion under a known force is computed exactly: modes, actuators, gyros.
 
 Each part is a block of up to six states with its own matrix D. All other effects on it are slow or external. A step of
-length h (step.exponential_runge_kutta) needs seven matrices of each block: D, and of the functions
+length h (`step.exponential_runge_kutta`) needs seven matrices of each block: D, and those listed below, of the
+functions
 
-    phi_1(Z) = (exp(Z) - 1) / Z,   phi_2(Z) = (phi_1(Z) - 1) / Z,   phi_3(Z) = (phi_2(Z) - 1/2) / Z,   Z = h D,
+    phi_1(Z) = (exp(Z) - 1) / Z,   phi_2(Z) = (phi_1(Z) - 1) / Z,   phi_3(Z) = (phi_2(Z) - 1/2) / Z,   Z = h D.
 
-those listed below. They are stored for the few step lengths that alternate. D may be any matrix near the current one
-that is constant within a step. Hence the modes, which change with the propellant, are updated only every quarter of a
-second. Actuators and gyros are constant until the stage ends.
+They are stored for the few step lengths that alternate. D may be any matrix near the current matrix that is constant
+within a step. Hence the modes, which change with the propellant, are updated only every quarter of a second. Actuators
+and gyros are constant until the stage ends.
 """
 
 from __future__ import annotations
@@ -23,19 +24,19 @@ from maxq.sim.vehicle.state import ACTUATOR, GYRO, N_ACTUATOR, actuator_index, e
 from maxq.sim.vehicle.workspace import Evaluation
 
 D = 0  # matrices of a block, row by row, one after the other
-FORCED_HALF = 1  # h/2 phi_1(Z/2): motion by half a step under a constant force
+FORCED_HALF = 1  # h/2 phi_1(Z/2): motion in half a step under a constant force
 TURNED_HALF = 2  # h phi_2(Z/2)
 FORCED = 3  # h phi_1(Z)
 TURNED = 4  # 2 h phi_2(Z)
-MIDDLE = 5  # 2 h phi_2(Z) - 4 h phi_3(Z): weight of the force at both middle stages
-LAST = 6  # 4 h phi_3(Z) - h phi_2(Z): and at the last
+MIDDLE = 5  # 2 h phi_2(Z) - 4 h phi_3(Z): weight of the force at the two middle stages
+LAST = 6  # 4 h phi_3(Z) - h phi_2(Z): weight of the force at the last stage
 _MATRICES = 7
 LARGEST = N_ACTUATOR
 _BLOCKS = 3 * MAX_MODES + 2 * MAX_ENGINES + 3
 
-# layout of a kept length: its step and the end of validity of its modes (ns), its stage from 1, its number of blocks;
-# then for each block its first state, the distance to the next state, the number of states, the place of its matrices;
-# then the matrices
+# Layout of a stored step length: the step and the end of validity of its modes (ns), its stage from 1, its number of
+# blocks; then for each block its first state, the distance to the next state, the number of states, the place of its
+# matrices; then the matrices.
 STEP_NS, UNTIL_NS, STAGE, COUNT = 0, 1, 2, 3
 HEAD = 4
 BLOCK_WIDTH = 4
@@ -44,8 +45,8 @@ _SCRATCH = 2 * LARGEST * LARGEST
 LENGTH_WIDTH = (
     _NUMBERS + _MATRICES * (4 * (3 * MAX_MODES + 1) + LARGEST * LARGEST * 2 * MAX_ENGINES) + _SCRATCH
 )  # fmt: skip  # one sum
-LENGTHS = 6  # number of kept lengths
-KEPT_SIZE = LENGTHS * LENGTH_WIDTH + 1  # and the one to be replaced next
+LENGTHS = 6  # number of stored step lengths
+KEPT_SIZE = LENGTHS * LENGTH_WIDTH + 1  # the last element is the index of the length to be replaced next
 MOVED_WIDTH = 5 * LARGEST
 MOVED_SIZE = MOVED_WIDTH * _BLOCKS
 _KEPT_NS = 250_000_000
@@ -54,7 +55,7 @@ _LEAST_TERM = 1e-18
 
 @routine
 def blocks_for(kept: Array, vehicle: StageRecord, stage: int, now_ns: int, step_ns: int, at: Evaluation) -> int:
-    """Return the index at which `kept` (KEPT_SIZE,) holds the blocks for this step.
+    """Return the index in `kept` (KEPT_SIZE,) of the blocks for this step.
 
     The blocks are computed from the evaluation at the start of the step if needed. Times are whole numbers of ns, which
     a float64 represents exactly for a hundred days.
@@ -91,7 +92,7 @@ def blocks_for(kept: Array, vehicle: StageRecord, stage: int, now_ns: int, step_
 
 @kernel
 def _further_blocks(vehicle: StageRecord) -> int:
-    """Return the number of blocks behind the modes."""
+    """Return the number of blocks after the modes."""
     blocks = (1 - vehicle.actuator_pitch.ideal) + (1 - vehicle.actuator_yaw.ideal)
     for channel in range(2 * vehicle.sizes.further_groups):
         blocks += 1 - vehicle.further_actuators[channel].ideal
@@ -138,7 +139,10 @@ def _add_modes(kept: Array, slot: int, vehicle: StageRecord, sizes: Counts, h: f
 def _add_actuator(
     kept: Array, slot: int, end: int, a: Actuator, before: Actuator, channel: int, first: int, h: float
 ) -> int:
-    """Add all sections of an actuator together, or reuse those of the actuator `before` it if they are equal."""
+    """Add the sections of an actuator as one block, and return the index of the next matrices.
+
+    The matrices of the actuator `before` it are reused if they are equal.
+    """
     if a.ideal == 1:
         return end
     n = a.order
@@ -160,7 +164,7 @@ def _add_actuator(
 def put_oscillator(kept: Array, i: int, a: float, b: float, h: float) -> None:
     """Write the matrices of x' = v, v' = -a x - b v at kept[i:].
 
-    Every function of D is p + q D, and D^2 = -a - b D.
+    Every function of D has the form p + q D, because D^2 = -a - b D.
     """
     kept[i], kept[i + 1], kept[i + 2], kept[i + 3] = 0.0, 1.0, -a, -b
     for half in range(2):
@@ -186,13 +190,13 @@ def put_oscillator(kept: Array, i: int, a: float, b: float, h: float) -> None:
 
 @kernel
 def _put_two(kept: Array, i: int, a: float, b: float, p: float, q: float) -> None:
-    """Write the matrix p + q D."""
+    """Write the matrix p + q D at kept[i:]."""
     kept[i], kept[i + 1], kept[i + 2], kept[i + 3] = p, q, -a * q, p - b * q
 
 
 @routine
 def put_functions(kept: Array, i: int, n: int, h: float, scratch: int) -> None:
-    """Write the matrices at kept[i:] for the D (n, n) already there, by their power series."""
+    """Write the other matrices of the block whose D (n, n) is at kept[i:], by their power series."""
     size = n * n
     for half in range(2):
         t = h if half == 0 else 0.5 * h
@@ -231,7 +235,7 @@ def put_functions(kept: Array, i: int, n: int, h: float, scratch: int) -> None:
 
 @kernel
 def _times(kept: Array, matrix: int, other: int, out: int, n: int, t: float) -> None:
-    """Multiply t D by another matrix; D has few nonzero entries."""
+    """Write t D times another matrix at kept[out:]; D has few nonzero entries."""
     for row in range(n):
         for column in range(n):
             kept[out + n * row + column] = 0.0

@@ -1,4 +1,4 @@
-"""The parameters of one stage's flight, as one record; a flight is an array of them, one row per stage."""
+"""The parameters of one stage's flight, as one record; a flight is an array of such records, one per stage."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from maxq.sim.world.turbulence import TurbulenceState
 
 NEVER = 2**62  # ns: an instant that never occurs
 NONE = -1  # no place in the pool
-DROPS = 2  # a stage that continues without some boosters of the previous one
+DROPS = 2  # value of `continues` for a stage that drops some boosters of the previous stage
 
-# events, in the order of the events' table; BURNOUT is that of the last stage that burned
+# Events in the order of the events' table; BURNOUT is that of the last stage that burned.
 EVENT_NAMES = ("liftoff", "burnout", "separation", "apogee", "impact", "control_lost", "tumble", "diverged")
 N_EVENTS = len(EVENT_NAMES)
 LIFTOFF, BURNOUT, SEPARATION, APOGEE, IMPACT, CONTROL_LOST, TUMBLE, DIVERGED = range(N_EVENTS)
@@ -30,32 +30,31 @@ LIFTOFF, BURNOUT, SEPARATION, APOGEE, IMPACT, CONTROL_LOST, TUMBLE, DIVERGED = r
 
 @dataclass(frozen=True)
 class StageTimeline:
-    """The timeline of a stage: instants in ns of flight time unless named otherwise."""
+    """The timeline of a stage, in ns of flight time unless the name contains another unit."""
 
     step_ns: int
-    even: int  # 1: pieces of equal length, none above `step_ns`, fill the time between two instants
+    even: int  # 1: steps of equal length, at most `step_ns`, fill the time between two instants
     stage_start_ns: int  # zero of this stage's clock
     burn_start_ns: int  # ignition
     frozen: int  # 1: the schedule is stopped at `frozen_s`
     frozen_s: float
-    burn_rate: float  # seconds of schedule per second of flight
+    burn_rate: float  # seconds of schedule time per second of flight
     burnout_ns: int
-    separation_ns: int  # NEVER on the last stage
-    separation_impulse_Ns: float  # forward on the next stage
+    separation_ns: int  # NEVER for the last stage
+    separation_impulse_Ns: float  # forward impulse on the next stage
     separation_spring_J: float
     tip_off_radps: Annotated[Array, (3,)]  # added to the rates of the next stage
     continues: int  # 1: engines, liquid and modes keep their state from the previous stage; DROPS: those that remain
     handed_on: int  # place of the transfer matrix from the previous modes (packing/separation.py), or NONE
-    release_ns: int  # NEVER: when thrust exceeds weight
+    release_ns: int  # time of release; NEVER: when thrust exceeds weight
     stop_ns: int
     ground_altitude_m: float
-    stop_mask: int  # bit i: the flight ends with event i
-    control_lost_rad: float  # attitude error under thrust at which control counts as lost; inf: no control
-    tumble_rad: (
-        float  # total angle of attack that counts as tumbling while dynamic pressure exceeds `tumble_pressure_Pa`
-    )
+    stop_mask: int  # bit i: event i ends the flight
+    control_lost_rad: float  # attitude error under thrust at which control counts as lost; inf: without control
+    # total angle of attack that counts as tumbling while the dynamic pressure exceeds `tumble_pressure_Pa`
+    tumble_rad: float
     tumble_pressure_Pa: float
-    fast_ns: int  # log periods
+    fast_ns: int  # periods of the log
     slow_ns: int
     seed: int
 
@@ -74,36 +73,36 @@ class Parameters:
 
 @dataclass
 class Clock:
-    """The position of a flight between two calls of the kernel."""
+    """The progress of a flight between two calls of the kernel."""
 
     now_ns: int
     stage: int
     started: int
     finished: int
-    cause: int  # cause of divergence, see state.CAUSES
+    cause: int  # cause of divergence, index into `state.CAUSES`
     steps: int
-    interval: int  # of the schedule
-    fresh: int  # 1: the schedule has to be read again
-    next_break_ns: int  # of the schedule
+    interval: int  # interval of the schedule
+    fresh: int  # 1: the schedule must be read again
+    next_break_ns: int  # next breakpoint of the schedule
     next_sample_ns: int
-    command_due_ns: int  # when the pending command takes effect
-    cut_off_ns: int  # engine cutoff by the guidance, after which the schedule is stopped; 0: never
-    ignite_ns: int  # restart by the guidance; 0: never
-    idle_ns: int  # time between cutoffs and restarts so far, in which the schedule stood still
+    command_due_ns: int  # instant at which the pending command takes effect
+    cut_off_ns: int  # engine cutoff by the guidance, which stops the schedule; 0: none
+    ignite_ns: int  # restart by the guidance; 0: none
+    idle_ns: int  # total time between cutoffs and restarts, in which the schedule was stopped
     pending_rad: Annotated[Array, (2 * MAX_ENGINES,)]
     pending_roll: int
-    pending_turn: Annotated[IntArray, (2,)]  # of the thrusters in pitch and yaw
+    pending_turn: Annotated[IntArray, (2,)]  # demand on the thrusters in pitch and yaw
     pending_settling_N: float
     next_gust_ns: int
-    samples: int  # of the gyro, for its noise
-    next_errors_ns: int  # when the errors of a step are estimated next
+    samples: int  # number of gyro samples, the index of its noise
+    next_errors_ns: int  # time of the next estimate of the integration errors
     climbing: int  # 1 while the altitude rises
-    event_ns: Annotated[IntArray, (N_EVENTS,)]  # -1: has not happened
+    event_ns: Annotated[IntArray, (N_EVENTS,)]  # -1: not yet
     stage_burnout_ns: Annotated[IntArray, (MAX_STAGES,)]
     stage_separation_ns: Annotated[IntArray, (MAX_STAGES,)]
     restarts: int
-    restart_ns: Annotated[IntArray, (MAX_BURNS,)]  # of the last engine
-    restart_cut_off_ns: Annotated[IntArray, (MAX_BURNS,)]  # the cutoff before each restart
+    restart_ns: Annotated[IntArray, (MAX_BURNS,)]  # of the last stage's engine
+    restart_cut_off_ns: Annotated[IntArray, (MAX_BURNS,)]  # cutoff before each restart
     restart_stage: Annotated[IntArray, (MAX_BURNS,)]
 
 
@@ -117,10 +116,10 @@ class Extremes:
 
 @dataclass
 class Waves:
-    """The waves of each pendulum, stage by stage with space for MAX_PENDULUMS each.
+    """The waves of each pendulum, stage by stage with MAX_PENDULUMS entries each.
 
-    Each has the peak wave height under thrust divided by the breaking height, its time, and the first time at which a
-    wave breaks (-1: none).
+    - `largest`, `largest_ns`: peak wave height under thrust divided by the breaking height, and its time.
+    - `broke_ns`: first time at which a wave broke (-1: none).
     """
 
     largest: Annotated[Array, (MAX_STAGES * MAX_PENDULUMS,)]
@@ -130,10 +129,10 @@ class Waves:
 
 @dataclass
 class Truth:
-    """The true attitude in relation to the computer's.
+    """The true attitude relative to that in the computer.
 
-    `start_q_BI`: attitude at the start, which the computer knows exactly. `error_rad`: roll, and tilt about body axes,
-    from the commanded to the true attitude, at the computer's last sample.
+    `start_q_BI`: attitude at the start, which the computer receives without error. `error_rad`: roll, and tilt about
+    body axes, from the commanded to the true attitude, at the last sample of the computer.
     """
 
     start_q_BI: Annotated[Array, (4,)]
@@ -142,7 +141,7 @@ class Truth:
 
 @dataclass
 class Burnout:
-    """The last burnout or cutoff: its time (-1: none), position and velocity in I."""
+    """The last burnout or cutoff: its time (-1: none), and position and velocity in I."""
 
     time_ns: int
     r_I_m: Annotated[Array, (3,)]
@@ -172,8 +171,8 @@ class Memory:
     errors: Annotated[Array, (8,)]
     """The errors of the integration: attitude, deg; bending, m; slosh, deg; position, m; speed, m/s.
 
-    From ERRORS_SQUARED on follow the sums of the squares of the first three, in steps within which an engine started or
-    stopped.
+    From ERRORS_SQUARED on, the array contains the sums of the squares of the first three errors, in steps within which
+    an engine started or stopped.
     """
 
     increment_rad: Annotated[Array, (3,)]

@@ -1,4 +1,4 @@
-"""Take one step of the classical fourth-order Runge-Kutta method over an interval in which nothing switches."""
+"""Integration steps by Runge-Kutta methods of order four over intervals without switching."""
 
 from __future__ import annotations
 
@@ -47,23 +47,23 @@ class Workspace(NamedTuple):
     """The arrays of a step in addition to the flight's own state."""
 
     start: Evaluation  # at the start of the step, with the state of the flight
-    middle: Evaluation  # at its later stages; `middle` and `end` have separate properties, and share the rest
+    middle: Evaluation  # at the later stages; `middle` and `end` have separate properties, and share all other arrays
     end: Evaluation
     y_end: Array  # state at the end of the step
     work: Work  # scratch memory of the derivative
-    columns: Array  # of the section loads
-    moved: Array  # for each block of oscillators, values passed between its stages
-    kept: Array  # the blocks' matrices, see oscillators.py
+    columns: Array  # columns of the section loads
+    moved: Array  # for each block of oscillators, values passed between the stages
+    kept: Array  # matrices of the blocks, see oscillators.py
     between: Evaluation  # at an instant within the step
 
 
 ERRORS_NS = 500_000_000
-"""The time between two estimates of a flight's errors."""
+"""The time between two estimates of a flight's integration errors."""
 
 
 @dataclass
 class Arena:
-    """The memory behind a Workspace."""
+    """The memory of a Workspace."""
 
     y_end: Annotated[Array, (states.MAX_STATE,)]
     y_stage: Annotated[Array, (states.MAX_STATE,)]
@@ -84,7 +84,7 @@ class Arena:
 
 @kernel
 def schedule_clock(p: Parameters, clock: Clock, now_ns: int, elapsed_s: float) -> float:
-    """Return the schedule time, s, `elapsed_s` after the instant `now_ns`. It is constant after a cutoff."""
+    """Return the schedule time, s, `elapsed_s` after the instant `now_ns`; it is constant after a cutoff."""
     if 0 < clock.cut_off_ns <= now_ns:
         now_ns, elapsed_s = clock.cut_off_ns, 0.0
     if p.timeline.frozen == 1:
@@ -108,7 +108,7 @@ def read_schedule(p: Parameters, pool: Array, memory: Memory, now_ns: int, elaps
 
 @kernel
 def stop_flow(sizes: Counts, properties: Array) -> None:
-    """Set the rates of the vehicle's properties to zero, because no propellant leaves any more."""
+    """Set the rates of the vehicle's properties to zero, because no propellant flows after a cutoff."""
     for column in range(sch.CG_RATE, sch.TOTAL_MASS):
         properties[column] = 0.0
     properties[sch.MASS_FLOW] = 0.0
@@ -121,7 +121,7 @@ def stop_flow(sizes: Counts, properties: Array) -> None:
 def evaluate(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, elapsed_s: float, at: Evaluation, work: Work
 ) -> None:
-    """Evaluate the derivative `elapsed_s` into the step that starts at `now_ns`."""
+    """Evaluate the derivative `elapsed_s` after the start of the step at `now_ns`."""
     inputs = memory.inputs
     if p.injections.count > 0:
         inputs.force_x_N = total_signal(p.injections, pool, BODY_FORCE, 0, now_ns, elapsed_s)
@@ -143,9 +143,9 @@ def evaluate(
 
 @kernel
 def gusts_along_body(p: Parameters, memory: Memory, fraction: float, cg_m: float, wind_B_mps: Array) -> Vector:
-    """Return the turbulence at the core CG, and write its difference at each part to `wind_B_mps`.
+    """Return the turbulence at the core CG, and write the difference at each part to `wind_B_mps`.
 
-    The nose meets it first.
+    The nose meets the turbulence first. `fraction`: part of the time to the next tick, as in `turbulence_at`.
     """
     here = gust_behind(memory.history, memory.gusts, fraction, max(cg_m, 0.0))
     parts = counts(p.vehicle.sizes).surfaces
@@ -191,11 +191,11 @@ def runge_kutta(p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns
 def exponential_runge_kutta(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, space: Workspace
 ) -> None:
-    """Step as `runge_kutta` does, with the exact motion of the fast linear parts under a constant force.
+    """Take a step as `runge_kutta` does, with the exact motion of the fast linear parts under a constant force.
 
     Method: the exponential method of order four, B4 of S. Krogstad, Generalized integrating factor methods for stiff
-    PDEs, J. Comput. Phys. 203 (2005), 72. It is written for r, the derivative minus that at the start and minus D times
-    the motion since then. Where D = 0 it is the classical method.
+    PDEs, J. Comput. Phys. 203 (2005), 72. It is written in terms of r, the derivative minus that at the start minus D
+    times the motion since the start. For D = 0 it is the classical method.
     """
     n = states.state_size(counts(p.vehicle.sizes))
     h = 1e-9 * step_ns
@@ -235,14 +235,17 @@ def exponential_runge_kutta(
 def _block_stage(
     kept: Array, block: int, moved: Array, at: int, stage: int, y: Array, k_1: Array, k: Array, out: Array
 ) -> None:
-    """Write the states of one block at stage 2, 3, 4, or at the end (5), to `out`.
+    """Write the states of one block at stage 2, 3 or 4, or at the end of the step (5), to `out`.
 
-    `k` is the derivative of the previous stage. `moved[at:]` holds the block's derivative at the start, its motion
-    since then at the previous stage and, under the constant force, at the end, r, and the sum of r over the middle
-    stages.
+    `k` is the derivative at the previous stage. `moved[at:]` contains five vectors of the block:
+
+    - the derivative at the start;
+    - the motion since the start at the previous stage;
+    - the motion at the end under the constant force;
+    - r, and its sum over the middle stages.
     """
     first, stride, n, matrices = int(kept[block]), int(kept[block + 1]), int(kept[block + 2]), int(kept[block + 3])
-    if n == 2:  # literal numbers, so that the compiler unrolls the loops
+    if n == 2:  # with literal numbers the compiler unrolls the loops
         _block_of(2, first, stride, matrices, kept, moved, at, stage, y, k_1, k, out)
     elif n == 6:
         _block_of(6, first, stride, matrices, kept, moved, at, stage, y, k_1, k, out)
@@ -301,10 +304,11 @@ def take_step(p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: 
 
 @routine
 def estimate_errors(p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, space: Workspace) -> None:
-    """Repeat the step as two halves, and add its estimated error to the flight's error.
+    """Repeat the step as two halves, and add the estimated error to the flight's error.
 
-    The error is multiplied by the number of such steps between two estimates. An attitude error turns the specific
-    force, and a speed error becomes a position error in time. The end of the step is left unchanged, its start is not.
+    The error is multiplied by the number of such steps between two estimates. An attitude error rotates the specific
+    force, and a speed error becomes a position error in time. The state at the end of the step is restored;
+    `space.start` is overwritten.
 
     Errors of smooth steps are added as if they never cancelled. If an engine reaches or leaves an edge of its play or a
     stop within the step, the instant is arbitrary and the error has either sign. Such errors are added as squares.
@@ -339,7 +343,7 @@ def estimate_errors(p: Parameters, pool: Array, memory: Memory, now_ns: int, ste
         for i in range(first, first + modes):
             bent = max(bent, abs(whole[i] - y_end[i]))
     for tank in range(sizes.pendulums):
-        if bob_mass(space.end.properties, tank) <= 0.0:  # it stopped when its tank became empty, within the step
+        if bob_mass(space.end.properties, tank) <= 0.0:  # its states stopped when the tank became empty within the step
             continue
         i = states.pendulum_index(sizes, tank)
         for j in range(i, i + 3):
@@ -370,10 +374,10 @@ def starts_or_stops(further_groups: int, before: EngineOutputs, after: EngineOut
 def evaluate_between(
     p: Parameters, pool: Array, memory: Memory, now_ns: int, step_ns: int, elapsed_ns: int, space: Workspace
 ) -> None:
-    """Write state and derivative `elapsed_ns` into the last step to `space.between`.
+    """Write state and derivative `elapsed_ns` after the start of the last step to `space.between`.
 
-    The state follows from the cubic of the method (Hairer, Norsett & Wanner I, section II.6): through both ends, with
-    the derivatives of the first and of the last stage.
+    The state is that of the cubic of the method (Hairer, Norsett & Wanner I, section II.6). The cubic has the states of
+    both ends and the derivatives of the first and the last stage.
     """
     n, h, x = states.state_size(counts(p.vehicle.sizes)), 1e-9 * step_ns, elapsed_ns / step_ns
     y, k_1, y_end, k_4, out = space.start.y, space.start.dy, space.y_end, space.end.dy, space.between.y

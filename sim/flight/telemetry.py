@@ -1,7 +1,7 @@
 """The log of a flight: rows that declare their channels, and the kernels that fill them.
 
-The fast group holds oscillating quantities (actuator, gyro, control, bending, slosh), the slow group the rest. Values
-are in the units of the log. control/kernel/rows.py describes the declaration of a row.
+The fast group contains oscillating quantities (actuator, gyro, control, bending, slosh), the slow group all others.
+Values are in the units of the log. control/kernel/rows.py describes the declaration of a row.
 """
 
 from __future__ import annotations
@@ -59,17 +59,14 @@ FAST, SLOW = "fast", "slow"
 
 @dataclass(frozen=True)
 class Logged:
-    """The widths of a log's rows of bending, slosh and section loads.
-
-    They are those of the widest stage. `on` = 0 means no log.
-    """
+    """The parts for which the rows of a log have columns, those of the widest stage; `on` = 0 means no log."""
 
     on: int
     sizes: Sizes
-    stations: int  # of section loads
+    stations: int  # number of stations of section loads
     waves: int  # 1: with the height of the waves
-    engines: int  # 0 for vehicles of one engine
-    external: int  # 1: with the monitors of external flight code
+    engines: int  # 0 for a vehicle with one engine
+    external: int  # 1: with the monitored values of external flight code
     adaptive: int  # 1: with the total gain of adaptive augmenting control
     drift: int  # 1: with the drift that the computer integrates
 
@@ -322,12 +319,14 @@ def channel_table(
 ) -> ChannelTable:
     """Return the channels of a vehicle with these numbers of parts, in the order of the kernels' columns.
 
-    - `stations`: description of each station of the section loads; names contain their numbers, from 1.
-    - `waves`: include the height of the pendulums' waves.
-    - `external`: include the monitored values of external flight code.
-    - `accelerometer`: the last sensor is an accelerometer.
-    - `adaptive`: include the total gain.
-    - `drift`: include the drift that the computer integrates.
+    - `tanks`, `groups`, `engines`: names of the pendulums, the groups of engines and the engines, used in channel
+      names.
+    - `stations`: description of each station of the section loads; channel names contain the numbers, from 1.
+    - `waves`: True to include the height of the pendulums' waves.
+    - `external`: True to include the monitored values of external flight code.
+    - `accelerometer`: True if the last sensor is an accelerometer.
+    - `adaptive`: True to include the total gain.
+    - `drift`: True to include the drift that the computer integrates.
     """
     topics = declared_topics(FAST, FastRow)
     kinds = (("pitch", sizes.pitch_modes), ("yaw", sizes.yaw_modes), ("spatial", sizes.spatial_modes))

@@ -25,8 +25,8 @@ _USAGE = "--set KEY=VALUE, e.g. --set run.step_s=0.0005 or --set vehicle.stage.0
 class Source:
     """The source of values: `label` is its name in messages, `folders` are searched for the files that the values name.
 
-    `within` is the place of the document in the scenario (`vehicle` for a vehicle file). `shown_as` is the same
-    beginning of a key as written in the document itself.
+    `within` is the path of the document in the scenario (`vehicle` for a vehicle file). `shown_as` replaces this path
+    in the keys of messages, which are then those of the document.
     """
 
     label: str
@@ -58,7 +58,7 @@ class Text(str):
 
 
 class _Sourced:
-    """A table or array with sources. `sources` holds the source of each key or element that differs from its own."""
+    """A table or array with its source; `sources` contains the source of each key or element that differs."""
 
     def __init__(self, source: Source) -> None:
         super().__init__()
@@ -75,7 +75,7 @@ class TomlArray(_Sourced, list[Any]):
 
 
 def adopt(value: Any, source: Source) -> Any:
-    """Return `value`, as read by tomllib, with its source attached throughout."""
+    """Return `value`, as read by tomllib, with its source attached to all tables, lists and texts."""
     if isinstance(value, dict):
         table = TomlTable(source)
         table.update((key, adopt(item, source)) for key, item in value.items())
@@ -102,7 +102,7 @@ def plain(value: Any) -> Any:
 
 
 def parse(text: str, source: Source) -> TomlTable:
-    """Return the document in `text`; raise ScenarioError with line and column if it is not TOML."""
+    """Return the document in `text`. Raises ScenarioError with line and column if the text is not TOML."""
     try:
         table: TomlTable = adopt(_document(text), source)
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, or a number with thousands of digits
@@ -113,15 +113,15 @@ def parse(text: str, source: Source) -> TomlTable:
 
 @lru_cache(maxsize=64)
 def _document(text: str) -> dict[str, Any]:
-    """Return the document in `text`, which is not to be changed.
+    """Return the document in `text`, which must not be changed.
 
-    A suite reads the same files for each of its flights, and reading TOML takes most of the time of a small file.
+    A suite reads the same files for each of its flights, and parsing takes most of the time of a small file.
     """
     return tomllib.loads(text)
 
 
 def _quoted(text: str, reason: str) -> str:
-    """Return the line of `text` that tomllib's `reason` names, to be appended to the reason."""
+    """Return the line of `text` that tomllib's `reason` names, in a form to be appended to the reason."""
     at = re.search(r"\(at line (\d+), column \d+\)$", reason)
     lines = text.split("\n")
     line = lines[int(at[1]) - 1].strip() if at and int(at[1]) <= len(lines) else ""
@@ -140,7 +140,7 @@ def merge(base: TomlTable, over: TomlTable) -> None:
 
 
 def _step(tree: TomlTable | TomlArray, part: str | int, path: KeyPath, source: Source) -> Any:
-    """Return the key or index that `part` of a path denotes in `tree`."""
+    """Return the key or index that `part` of a path denotes in `tree`. Raises ScenarioError for an invalid index."""
     if isinstance(tree, TomlTable):
         return str(part)
     allowed = f"an index 0 .. {len(tree) - 1}" if tree else "nothing: the list is empty"
@@ -150,14 +150,14 @@ def _step(tree: TomlTable | TomlArray, part: str | int, path: KeyPath, source: S
 
 
 def index_in(text: str, length: int) -> int | None:
-    """Return the index that `text` denotes in a list of `length`, or None if it denotes none."""
+    """Return the index that `text` denotes in a list of `length` elements, or None if it denotes none."""
     return int(text) if text.isdecimal() and len(text) < 10 and int(text) < length else None
 
 
 def put(tree: TomlTable, path: KeyPath, value: Any, source: Source) -> None:
-    """Set the value at `path`, e.g. ("run", "step_s"), and create the tables on the way.
+    """Set the value at `path`, such as ("run", "step_s"), and create the tables above it.
 
-    Raises ScenarioError if the path leads through a value that is neither table nor list, or beyond a list's end.
+    Raises ScenarioError if the path passes through a value that is neither table nor list, or beyond the end of a list.
     """
     at: Any = tree
     for n, part in enumerate(path[:-1]):
@@ -175,7 +175,7 @@ def put(tree: TomlTable, path: KeyPath, value: Any, source: Source) -> None:
 
 
 def drop(tree: TomlTable, path: KeyPath, source: Source, shift: KeyPath = ()) -> None:
-    """Remove the key at `path` of `tree`; raise ScenarioError about the key `shift` + `path` if there is none."""
+    """Remove the key at `path` of `tree`. Raises ScenarioError about the key `shift` + `path` if there is none."""
     at: Any = tree
     for n, part in enumerate(path):
         place = (*shift, *path[: n + 1])
@@ -190,7 +190,10 @@ def drop(tree: TomlTable, path: KeyPath, source: Source, shift: KeyPath = ()) ->
 
 
 def leaves(table: TomlTable) -> Iterator[tuple[KeyPath, Any, Source]]:
-    """Yield every value below `table` that is not a table, with path and source; split keys such as "stage.0.name"."""
+    """Yield path, value and source of every value below `table` that is not a table.
+
+    Keys that contain dots, such as "stage.0.name", are split.
+    """
     for key, value in table.items():
         head: KeyPath = tuple(key.split("."))
         if isinstance(value, TomlTable) and value:
@@ -218,7 +221,7 @@ def source_of(tree: TomlTable, path: KeyPath) -> Source:
             break
         source = at.sources.get(part, at.source)
         try:
-            at = at[part]  # type: ignore[index]  # a path found by the validator: str in tables, int in lists
+            at = at[part]  # type: ignore[index]  # the validator's path: str in tables, int in lists
         except (KeyError, IndexError, TypeError):
             break
     return source
@@ -229,10 +232,10 @@ Override = tuple[KeyPath, Any]
 
 
 def parse_override(text: str) -> Override:
-    """Parse `a.b.0.c=value`.
+    """Return the path and value of an override `a.b.0.c=value`.
 
-    The right side is a TOML value; anything else (a bare word) is a text. An empty right side removes the key. Raises
-    ScenarioError if there is no `=` or the path has an empty part.
+    The right side is a TOML value, or otherwise a text (a bare word). An empty right side removes the key. Raises
+    ScenarioError if there is no `=` or if a part of the path is empty.
     """
     left, equals, right = text.partition("=")
     path = tuple(part.strip() for part in left.split("."))

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic_core import PydanticCustomError
 
 Path = tuple[str | int, ...]
-"""The place of a value: names of tables and keys, indices of lists."""
+"""The path of a value: names of tables and keys, indices of lists."""
 
 
 NOTHING: Any = object()
@@ -22,16 +22,16 @@ _LONGEST_WORDS = 1000
 
 
 class ScenarioError(Exception):
-    """The error of wrong input. `str()` is one line: `file: key = value: problem; allowed: ... (and N more)`.
+    """The error of wrong input, whose `str()` is one line: `file: key = value: problem; allowed: ... (and N more)`.
 
     `file` is the file as named by the user, or `--set` for an override. `key` is empty if the error concerns the whole
-    file. `more` counts the further errors found at the same time.
+    file. `more` is the number of further errors found at the same time.
     """
 
     def __init__(
         self, file: str, problem: str, key: str = "", *, value: Any = NOTHING, allowed: str = "", more: int = 0
     ) -> None:
-        super().__init__(file, problem)  # an unpickled one is made of these, and takes over the attributes
+        super().__init__(file, problem)  # unpickling calls the constructor with these, then restores the attributes
         self.file, self.problem, self.key, self.allowed, self.more = file, problem, key, allowed, more
         self.shown_value = "" if value is NOTHING else show_value(value)
 
@@ -62,7 +62,7 @@ def show_value(value: Any) -> str:
     else:
         try:
             text = repr(value)
-        except ValueError:  # Python refuses to write out integers of thousands of digits
+        except ValueError:  # Python does not convert integers of thousands of digits
             text = "a number of thousands of digits"
     return _printable(text, _LONGEST_VALUE)
 
@@ -76,10 +76,10 @@ def _printable(text: str, longest: int) -> str:
 def refuse(
     problem: str, allowed: str = "", key: str | Path = (), *, value: Any = NOTHING, file: str = "", place: str = ""
 ) -> PydanticCustomError:
-    """Return the exception that a validator of the schema raises.
+    """Return the exception for a validator of the schema to raise.
 
-    `key` is relative to the section being validated. Its value is looked up unless given. For an error inside a CSV
-    file, `file` and the `place` in it are given instead.
+    `key` is relative to the section being validated; its value is looked up unless given. For an error in a CSV file,
+    `file` and the `place` in it are given instead.
     """
     key = (key,) if isinstance(key, str) else key
     return PydanticCustomError(
@@ -92,7 +92,8 @@ def refuse(
 def suggestion(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
     """Return `did you mean x?`, or an empty string.
 
-    A key that differs only in its unit (`_km` for `_m`) comes first. `cutoff`: least similarity, from 0 to 1 (difflib).
+    A key that differs only in its unit (`_km` for `_m`) has priority. `cutoff`: least similarity, from 0 to 1
+    (difflib).
     """
     choices = list(known)
     stem = word.rpartition("_")[0]

@@ -4,12 +4,12 @@ Built-in files are in the folder scenarios/, which is package data (`maxq.scenar
 
 A name denotes the same file in every working folder (`locate`, `find`):
 
-- A built-in name as printed by --list (standard, nominal, campaigns/ksr3) is the shipped file. So is, in an override, a
-  path below scenarios/ (winds/anheung-november.csv, vehicles/ksr3, designs/ksr3-robust.toml).
-- Any other name is a path. `./standard`, `standard.toml` and an absolute path name a file of the user. A name with
-  .toml without such a file is the shipped one.
-- A path in a file is searched for in the folder of that file, then below scenarios/. Where cases, suites and layouts
-  name other such files, scenarios and campaigns, a built-in name is the shipped file, as above.
+- A built-in name as printed by --list (standard, nominal, campaigns/ksr3) denotes the shipped file. In an override, so
+  does a path below scenarios/ (winds/anheung-november.csv, vehicles/ksr3, designs/ksr3-robust.toml).
+- Any other name is a path. `./standard`, `standard.toml` and an absolute path denote a file of the user. If there is no
+  such file, a name with .toml denotes the shipped file.
+- A path in a file is searched for in the folder of that file, then below scenarios/. In cases, suites and layouts that
+  name scenarios, campaigns or other such files, a built-in name denotes the shipped file, as above.
 
 A `NameNote` reports a file of the working folder that has a built-in name.
 """
@@ -57,7 +57,7 @@ PARTS = ("vehicle", "design")
 """The parts of a scenario that may be named by file instead of given as tables."""
 
 _LISTED_ALONE = ("case", "suite", "layout", "points")
-"""Kinds of which a file names another by its built-in name alone."""
+"""The kinds of files that a file of the same kind can name by the built-in name alone."""
 
 _LISTED_BY = {
     "scenario": "simrun",
@@ -69,7 +69,7 @@ _LISTED_BY = {
 
 
 class NameNote(UserWarning):
-    """A note that a built-in name is also that of a file of the user, which was not read."""
+    """A note that a built-in name is also the name of a user's file, which was not read."""
 
 
 def scenarios_folder() -> Path:
@@ -81,7 +81,7 @@ def scenarios_folder() -> Path:
 
 
 def builtin_files(kind: str) -> dict[str, Path]:
-    """Return the built-in files of a kind of FOLDERS by name, such as `nominal`, `campaigns/ksr3`, sorted."""
+    """Return the built-in files of a kind of FOLDERS by name, such as `nominal` or `campaigns/ksr3`, sorted."""
     root = scenarios_folder()
     if kind not in ("scenario", "campaign"):
         return {path.stem: path for path in sorted((root / FOLDERS[kind]).glob("*.toml"))}
@@ -105,7 +105,7 @@ class ReadFile:
 
 
 def shown(path: Path) -> str:
-    """Return a path for messages: relative to the working folder if it is inside that folder."""
+    """Return a path for messages, relative to the working folder if it is inside that folder."""
     here = Path.cwd()
     return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
 
@@ -119,15 +119,15 @@ def kind(path: Path) -> str:
             return "folder"
         return "other" if path.exists() else ""
     except PermissionError:
-        return "file"  # reading it reports the error
-    except (OSError, ValueError):  # a name that is too long, or holds a zero byte
+        return "file"  # the attempt to read it reports the error
+    except (OSError, ValueError):  # the name is too long, or contains a zero byte
         return ""
 
 
 def find(name: Text, variants: Iterable[str] = TABLE_VARIANTS) -> Path | None:
     """Return the first existing file: `name` with each of `variants` ("{}.toml") in each folder of its source.
 
-    An override denotes a shipped file if there is one of that path.
+    In an override, a shipped file of that path has priority.
     """
     folders, shipped = name.source.folders, scenarios_folder()
     overriding = name.source.label == COMMAND_LINE and shipped in folders and not names_a_path(name)
@@ -143,12 +143,15 @@ def find(name: Text, variants: Iterable[str] = TABLE_VARIANTS) -> Path | None:
 
 
 def names_a_path(name: str) -> bool:
-    """Return True for an absolute path, and for one that begins with ./ or ../: it means no shipped file."""
+    """Return True for an absolute path, and for one that begins with ./ or ../.
+
+    Such a path never denotes a shipped file.
+    """
     return os.path.isabs(name) or name.startswith(("./", "../"))
 
 
 def note_other(name: str, other: Path | None) -> None:
-    """Warn that the built-in `name` is used, and not the user's file of that name, if there is one."""
+    """Warn that the built-in `name` is used instead of the user's file of that name, if that file exists."""
     if other is not None:
         theirs = shown(other.absolute())
         theirs = theirs if names_a_path(theirs) else f"./{theirs}"
@@ -156,13 +159,13 @@ def note_other(name: str, other: Path | None) -> None:
 
 
 def note_here(name: str, shipped: Path, variants: Iterable[str] = ("{}", "{}.toml")) -> None:
-    """Warn where the working folder has a file of a built-in name, `shipped`, other than that."""
+    """Warn if the working folder contains a file with a built-in name other than the file `shipped` itself."""
     found = (Path(variant.format(name)) for variant in variants)
     note_other(name, next((path for path in found if kind(path) == "file" and not path.samefile(shipped)), None))
 
 
 def not_found(name: Text, wanted: str, variants: Iterable[str]) -> tuple[str, str]:
-    """Return the problem and the allowed forms for a name with which `find` found none of the `variants`."""
+    """Return the problem and the allowed forms for a name for which `find` found none of the `variants`."""
     if not name.source.folders:
         return "names a file, which a scenario given as text cannot do", "the content itself"
     for folder in name.source.folders:
@@ -186,22 +189,22 @@ def _nearest(name: Text, variants: Iterable[str]) -> str:
 
     if root in name.source.folders:
         for path in sorted(root.rglob("*")):
-            if {"campaigns", "layouts"}.intersection(path.relative_to(root).parts):  # no scenario names one
+            if {"campaigns", "layouts"}.intersection(path.relative_to(root).parts):  # no scenario names such a file
                 continue
             if asked.name in (path.name, path.stem) and fits(path):
                 return f"did you mean {path.relative_to(root).as_posix()}?"
     beside: list[str] = []
     for folder in name.source.folders:
-        with contextlib.suppress(OSError, ValueError):  # there is no such folder, or it may not be read
+        with contextlib.suppress(OSError, ValueError):  # there is no such folder, or it cannot be read
             there = sorted((folder / asked).parent.iterdir())
             beside += [str(asked.with_name(path.name)) for path in there if fits(path)]
     return suggestion(str(name), beside)
 
 
 def _below(path: Path) -> str:
-    """Return `did you mean x?` for a file of this name one or two folders below.
+    """Return `did you mean x?` for a file of this name one or two folders below the intended folder.
 
-    simrun --copy keeps the folders of its files.
+    Such a file is plausible, because simrun --copy keeps the folders of its files.
     """
     with contextlib.suppress(OSError, ValueError):
         for pattern in ("*/", "*/*/"):
@@ -235,9 +238,9 @@ def locate(name: str, role: str) -> tuple[Path, str]:
 
 
 def named_in_file(name: Text, file: Path) -> str:
-    """Return a scenario, campaign or table that the case or suite in `file` names, for use in any folder.
+    """Return a name that denotes, in any folder, the file that `name` denotes in the case or suite `file`.
 
-    A built-in name stays as it is, that of a file in the folder becomes its path, and any other is returned unchanged.
+    A built-in name is unchanged, that of a file in the folder becomes its path, and any other name is unchanged.
     """
     known, root = builtin_files("scenario") | builtin_files("campaign"), scenarios_folder()
     path = find(name, _FILE_VARIANTS)
@@ -262,7 +265,7 @@ class Reading:
     soundings: dict[str, Any] = field(default_factory=dict)  # soundings by wind file, see soundings.py
 
     def content(self, path: Path, label: str) -> bytes:
-        """Return the content of a file, and record it among `files`."""
+        """Return the content of a file, and record it in `files`."""
         if path not in self.files:
             try:
                 self.files[path] = ReadFile(path, label, path.read_bytes())
@@ -272,7 +275,10 @@ class Reading:
         return self.files[path].content
 
     def text(self, path: Path, label: str, what: str) -> str:
-        """Return the content of a file as text, and record it among `files`. `what` names the expected content."""
+        """Return the content of a file as text, and record it in `files`.
+
+        `what` names the expected content in messages.
+        """
         content = self.content(path, label)
         try:
             text = content.decode("utf-8-sig")
@@ -301,9 +307,10 @@ class Reading:
     def document(
         self, path: Path, label: str, role: str, chain: tuple[Path, ...] = (), *, ignore_unset: bool = False
     ) -> TomlTable:
-        """Return the document in a file on top of the one that it extends. `role` is a kind of WANTED.
+        """Return the document in a file, merged over the document that it extends; `role` is a kind of WANTED.
 
-        `ignore_unset`: keep the keys that the file removes, as one of an earlier version may name them by other names.
+        `ignore_unset`: keep the keys that the file removes, because a file of an earlier version may use other names
+        for them.
         """
         within = (role,) if role in PARTS else ()
         beside = scenarios_folder() / FOLDERS[role] if role in _LISTED_ALONE else scenarios_folder()

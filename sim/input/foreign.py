@@ -1,8 +1,8 @@
-"""Tables in text formats of other programs, read as CSV where a vehicle file or a layout names a table.
+"""Tables in text formats of other programs, which a vehicle file or a layout may name in place of a CSV file.
 
 RASP engine files (.eng) have comments after a semicolon and a header: name, diameter mm, length mm, delays, propellant
 kg, total kg, manufacturer. Times in s and thrusts in N follow. The first point (0, 0) is implied, and the last thrust
-is 0. The thrust is the measured one, usually at ground level. Only the first motor of a file is read.
+is 0. The thrust is a measurement, usually at ground level. Only the first motor of a file is read.
 
 Missile DATCOM output (for006.dat; W. B. Blake, AFRL-VA-WP-TR-1998-3009) has pages "STATIC AERODYNAMICS FOR ..." with
 MACH NO and columns ALPHA, CN, CM, CA, CY, CLN, CLL. For each Mach number the last page is read, that of the whole
@@ -22,13 +22,13 @@ from maxq.sim.input.tables_csv import Columns, CsvTable, Foreign
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][-+]?\d+)?"
 _HEAD = ["ALPHA", "CN", "CM", "CA", "CY", "CLN", "CLL"]
-_NAMES = ("CN", "Cm", "CA", "CY", "Cn", "Cl")  # as grids.py calls them
+_NAMES = ("CN", "Cm", "CA", "CY", "Cn", "Cl")  # names of the columns in sim/vehicle/air/tables.py
 
 
 def read_rasp(text: str, name: str, shown: str) -> CsvTable:
-    """Read the thrust, and in proportion to it the flow of the header's propellant.
+    """Return the thrust, and the mass flow of the header's propellant in proportion to it.
 
-    Raises the refusal of the schema.
+    Raises the refusal of the schema for a file without a header, points or an end at zero thrust.
     """
     lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if line.strip() and line.strip()[0] != ";"]
     if not lines:
@@ -68,7 +68,7 @@ def read_rasp(text: str, name: str, shown: str) -> CsvTable:
 
 
 def read_datcom(text: str, name: str, shown: str) -> CsvTable:
-    """Read the coefficients over Mach number and total angle of attack, or over alpha if the vehicle is not symmetric.
+    """Return the coefficients over Mach number and total angle of attack, or alpha if the vehicle is not symmetric.
 
     Raises the refusal of the schema for a file without such a page, and for a file with sideslip.
     """

@@ -1,7 +1,7 @@
 """The range of a number by the name of its key or column: one table for all files.
 
-Names carry their units. Hence a physical bound belongs to a unit, or to a name where the name is more specific. No
-vehicle, flight or flight computer has values outside a range, and some of them overflow the arithmetic of a flight.
+Names carry their units. Hence a physical bound belongs to a unit, or to a whole name if that is more specific. No
+vehicle, flight or flight computer has values outside a range, and some such values overflow the arithmetic of a flight.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 LONGEST_S = 1.0e8
 """The longest time, about three years.
 
-The times of eight stages sum to less than the 292 years that 64 bits of ns can hold.
+The times of eight stages sum to less than the 292 years that 64 bits of ns can represent.
 """
 
 LARGEST_NUMBER = 1e30
-"""The bound where a name implies none: products of a few such numbers are still finite."""
+"""The bound of names without a range: products of a few such numbers are finite."""
 
 MOST_RUNS, MOST_TOGETHER = 10**9, 10**6
 
@@ -39,7 +39,7 @@ class Range:
     why: str
 
     def holds(self, value: ArrayLike) -> NDArray[np.bool_]:
-        """Return True where numbers are within the range; NaN is not."""
+        """Return True for each number within the range; nan is outside."""
         size = np.abs(value)
         return np.asarray((size <= self.most) & ((size >= self.least) | (size == 0.0)))
 
@@ -141,7 +141,10 @@ def range_of(name: str) -> Range:
 
 
 def first_beyond(name: str, value: Any) -> tuple[tuple[int, ...], float] | None:
-    """Return place and value of the first number outside the range of `name`, in lists of any depth, or None."""
+    """Return index path and value of the first number outside the range of `name`, or None.
+
+    `value` may be a number or nested tuples.
+    """
     if isinstance(value, tuple):
         for n, item in enumerate(value):
             if found := first_beyond(name, item):

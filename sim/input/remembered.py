@@ -1,4 +1,4 @@
-"""Cached results for identical argument objects: runs of a campaign share the objects that no run changes."""
+"""Caching of results by identity of the arguments: runs of a campaign share the objects that no run changes."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _BY_VALUE = frozenset({int, float, bool, str, type(None)})
 def cached_by_identity(function: Callable[..., Answer]) -> Callable[..., Answer]:
     """Cache results by the identity of the arguments; neither arguments nor results may be changed.
 
-    Numbers and texts are compared by value, tuples by their elements. Comparing sections of a scenario by value would
-    take longer than most computations.
+    Numbers and texts are compared by value, tuples by their elements. A comparison of the sections of a scenario by
+    value would take longer than most computations.
     """
     kept: dict[Hashable, tuple[tuple[Any, ...], Answer]] = {}
 
@@ -25,8 +25,9 @@ def cached_by_identity(function: Callable[..., Answer]) -> Callable[..., Answer]
         key = _key(arguments)
         known = kept.get(key)
         if known is None:
-            known = arguments, function(*arguments)  # arguments stay alive, or another could get their identity
-            if len(kept) >= _MOST:  # another thread may be here too; its results are then computed again
+            # the arguments stay alive, so that no other object gets their identity
+            known = arguments, function(*arguments)
+            if len(kept) >= _MOST:  # another thread may also add results, which are then computed again
                 kept.clear()
             kept[key] = known
         return known[1]

@@ -1,4 +1,4 @@
-"""Tables of numbers, read from a CSV file or written out in the TOML file, and their checks.
+"""Tables of numbers, from a CSV file or written out in the TOML file, and their checks.
 
 A CSV file has one line of column names, then one line per row, separated by commas. Empty lines and lines that begin
 with # are skipped. In a TOML file the same table is `{time_s = [0.0, 1.0], mass_kg = [10.0, 9.0]}` or a list of rows
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Column = NDArray[np.float64]
 
 LEAST_STEP = 1e-9
-"""The least step of the axis from row to row, in its unit: slopes between rows must stay finite."""
+"""The least step of the axis from row to row, in its unit; slopes between rows must be finite."""
 
 FILE_KEY, DATE_KEY = "file", "date"
 """The further keys of a table that is written out: the original file, for information only, and `CsvTable.date`."""
@@ -41,7 +41,7 @@ class CsvTable:
 
     `file` is the file's name as given in the scenario, or empty if the scenario itself contains the table. `date` is
     the date of a wind profile, YYYY-MM-DD with or without Thh, or empty if unknown. Two tables are equal if their
-    columns hold the same bits.
+    columns contain the same bits.
     """
 
     file: str
@@ -50,14 +50,14 @@ class CsvTable:
     lines: tuple[int, ...] = field(default=(), repr=False)
     date: str = ""
     checked_as: Columns | None = field(default=None, init=False, repr=False)
-    derived: Any = field(default=None, init=False, repr=False)  # cached results derived from the columns
+    derived: Any = field(default=None, init=False, repr=False)  # cached result derived from the columns
 
     def __post_init__(self) -> None:
         for column in self.columns.values():
             column.flags.writeable = False
 
     def keep(self, derived: Any) -> None:
-        """Keep a result derived from the columns alone, which never change."""
+        """Store a result derived from the columns alone, which never change."""
         object.__setattr__(self, "derived", derived)
 
     def __getitem__(self, name: str) -> Column:
@@ -75,7 +75,7 @@ class CsvTable:
         return {key: text for key, text in label.items() if text} | {k: v.tolist() for k, v in self.columns.items()}
 
     def get(self, name: str, default: float = 0.0) -> Column:
-        """Return the column, or a constant one if it is absent."""
+        """Return a column, or a column of `default` if it is absent."""
         return self.columns[name] if name in self.columns else np.full(len(self), default)
 
     def __eq__(self, other: object) -> bool:
@@ -85,14 +85,14 @@ class CsvTable:
             self.columns[name].tobytes() == other.columns[name].tobytes() for name in self.columns
         )
 
-    __hash__ = None  # type: ignore[assignment]  # arrays have no cheap hash, and no one needs it
+    __hash__ = None  # type: ignore[assignment]  # arrays have no fast hash, and none is needed
 
     def refusal(
         self, problem: str, allowed: str = "", column: str = "", row: int = -1, *, value: Any = NOTHING, at: Path = ()
     ) -> PydanticCustomError:
-        """Return the exception for an error in this table, naming file, line and column (or key and index).
+        """Return the exception for an error in this table, with file, line and column (or key and index).
 
-        `at` is the table's key relative to the section being validated.
+        `at` is the key of the table relative to the section being validated.
         """
         if column and row >= 0 and value is NOTHING:
             value = float(self.columns[column][row])
@@ -112,9 +112,9 @@ class CsvTable:
 
 
 class Foreign(NamedTuple):
-    """The format of another program that a file may have instead: its name in messages, and its reader.
+    """The format of another program that a file may have instead of CSV: its name in messages, and its reader.
 
-    `read` returns None if the file is CSV, and raises the refusal of the schema.
+    `read` returns None if the file is CSV, and raises the refusal of the schema for an invalid file.
     """
 
     words: str
@@ -125,13 +125,13 @@ class Foreign(NamedTuple):
 class Columns:
     """The required form of a table, which annotates a field: `Annotated[CsvTable, Columns("time_s", ...)]`.
 
-    - `axis`: the independent column, or one of `other_axes` in its place. It must increase strictly, with two
-      exceptions: `repeats` allows equal values, and `falling` names axes that decrease. If it is `axis`, it must begin
-      at or before `begins_by`.
+    - `axis`: the independent column, which one of `other_axes` may replace. It must increase strictly, with two
+      exceptions: `repeats` allows equal values, and `falling` names axes that decrease. `axis` itself must begin at or
+      before `begins_by`.
     - `sets`: alternative sets of required columns, of which exactly one must be complete.
     - `positive`, `not_negative`: columns with these bounds.
-    - `grid`: instead of one axis at least one of these, with the other columns at each combination of their values
-      (grids.py).
+    - `grid`: instead of an axis, at least one of these columns, with the other columns at each combination of their
+      values (sim/vehicle/air/tables.py).
 
     Without an axis (empty) the table consists of samples, with any columns.
     """
@@ -174,7 +174,7 @@ class Columns:
         others = f", or over {', '.join(self.other_axes)} in place of {self.axis}" if self.other_axes else ""
         return f"columns {either}{more}{others}{instead}"
 
-    # hooks of pydantic: validation of such a field, and its JSON Schema
+    # Hooks of pydantic: validation of such a field, and its JSON Schema.
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(self._validate)
@@ -256,7 +256,7 @@ class Columns:
 
     def _check_name(self, name: str, key: Path = (), file: str = "", place: str = "") -> None:
         if self.named and name not in self.known():
-            hint = suggestion(name, self.known(), cutoff=0.75)  # otherwise the list is more helpful
+            hint = suggestion(name, self.known(), cutoff=0.75)  # for less similar names, the list is more helpful
             problem = f"unknown column {show_value(name)}" + (f"; {hint}" if hint else "")
             raise refuse(problem, self.allowed(), key, file=file, place=place)
 
@@ -314,7 +314,7 @@ class Columns:
         of, low, high = range_of(name), column.min(), column.max()
         least = _ABOVE_ZERO if name in self.positive else 0.0 if name in self.not_negative else -of.most
         if of.least == 0.0 and low >= least and -of.most <= low and high <= of.most:
-            return  # nearly always, and a campaign checks the tables of every run
+            return  # the usual case; a campaign checks the tables of every run
         table.refuse_where(~np.isfinite(column), name, "is not finite", "finite numbers")
         table.refuse_where(~of.holds(column), name, "is out of range", of.allowed())
         if name in self.positive:
@@ -323,12 +323,12 @@ class Columns:
             table.refuse_where(column < 0.0, name, "is negative", "numbers >= 0")
 
 
-_ABOVE_ZERO = 5e-324  # the least number
-_ALSO = 4  # further errors of a table in the message of the first
+_ABOVE_ZERO = 5e-324  # the smallest positive number
+_ALSO = 4  # number of further errors of a table in the message of the first
 
 
 def raise_together(refusals: list[PydanticCustomError]) -> None:
-    """Raise the first of these refusals, if any; its message includes the others."""
+    """Raise the first of these refusals, if any, with the others in its message."""
     if not refusals:
         return
     first, *others = (dict(refusal.context or {}) for refusal in refusals)
@@ -353,9 +353,10 @@ def _number(value: Any, key: Path) -> float:
 
 
 class _Lines(NamedTuple):
-    """The lines of a CSV text: the column names, the rows of numbers, and the lines that are no such row.
+    """The lines of a CSV text: the column names, the rows of numbers, and the lines that are not rows.
 
-    `header_line` and `lines` are their numbers in the text. `numbers` has one row per line.
+    `header_line` and `lines` are line numbers in the text. `numbers` has one row per element of `lines`. `wrong`
+    contains line number and cells of each line that is not a row.
     """
 
     header: tuple[str, ...]
@@ -367,7 +368,7 @@ class _Lines(NamedTuple):
 
 @lru_cache(maxsize=128)
 def _lines_of(text: str) -> _Lines:
-    """Return the lines of a text. A suite reads the same tables for each of its flights."""
+    """Return the lines of a text, from a cache, because a suite reads the same tables for each of its flights."""
     header, header_line = tuple[str, ...](), 0
     lines, rows, wrong = list[int](), list[list[float]](), list[tuple[int, tuple[str, ...]]]()
     for number, line in enumerate(text.splitlines(), start=1):

@@ -37,14 +37,14 @@ def is_whole_ns(seconds: float) -> bool:
 
 
 def to_ns(seconds: float) -> int:
-    """Return `seconds` in nanoseconds; raise ValueError unless that is a whole number."""
+    """Return `seconds` in nanoseconds. Raises ValueError unless that is a whole number."""
     if not is_whole_ns(seconds):
         raise ValueError(f"{seconds!r} s is not a whole number of nanoseconds")
     return round(seconds * NS_PER_S)
 
 
 def period_ns(rate_hz: float) -> int:
-    """Return the period of `rate_hz` in nanoseconds; raise ValueError unless that is a whole number."""
+    """Return the period of `rate_hz` in nanoseconds. Raises ValueError unless that is a whole number."""
     if not is_whole_period(rate_hz):
         raise ValueError(f"the period of {rate_hz!r} Hz is not a whole number of nanoseconds")
     return round(NS_PER_S / rate_hz)
@@ -57,21 +57,21 @@ def is_whole_period(rate_hz: float) -> bool:
 
 
 TABLE_FORM, LIST_FORM = "<table>", "<list>"
-"""The tags of a key that holds one table or a list of tables; they are not part of a key path."""
+"""The tags of a key whose value is a table or a list of tables; they are not part of a key path."""
 
 
 class Section(BaseModel):
     """A table of a TOML file, immutable.
 
-    It rejects unknown keys, numbers as text, NaN, infinity, values outside the range of a key (`ranges.py`), and texts
+    It rejects unknown keys, numbers as text, NaN, infinity, values outside the range of a key (ranges.py), and texts
     that would control a terminal.
     """
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
     renamed: ClassVar[dict[str, str]] = {}
-    """The present names of keys by their earlier names; "" for an obsolete key."""
+    """The current names of keys by their earlier names; "" for an obsolete key."""
     earlier: ClassVar[dict[str, str]] = {}
-    """The values of keys that were the defaults in the previous version, where the present default differs."""
+    """The default values of the previous version, for keys whose current default differs."""
 
     @field_validator("*")
     @classmethod
@@ -93,7 +93,7 @@ class Section(BaseModel):
         return self
 
     def _check(self) -> None:
-        """Check the keys against each other, after each has been validated separately."""
+        """Check the keys against each other, after each key has been validated separately."""
 
     def at_most_one(self, *keys: str) -> None:
         """Reject two of `keys` that exclude each other."""
@@ -102,14 +102,14 @@ class Section(BaseModel):
             raise refuse(f"cannot be combined with {given[0]}", f"one of {', '.join(keys)}", given[1])
 
     def needs(self, key: str, because: str, allowed: str = "") -> Any:
-        """Return the value of an optional key that another key makes necessary."""
+        """Return the value of an optional key that another key requires; reject a missing value."""
         value = getattr(self, key)
         if value is None:
             raise refuse(f"required key is missing: {because}", allowed, key)
         return value
 
     def only_with(self, keys: tuple[str, ...], condition: bool, when: str) -> None:
-        """Reject `keys` that have no meaning unless `condition` holds, which `when` expresses in words."""
+        """Reject `keys` that have no meaning unless `condition` is true; `when` is the condition in words."""
         for key in keys:
             if not condition and getattr(self, key) is not None:
                 raise refuse("has no meaning here", f"this key with {when} only", key)
@@ -152,7 +152,7 @@ Rate = Annotated[float, Field(gt=0.0), AfterValidator(_whole_period)]
 
 
 class OverTime(Section):
-    """A number over the vehicle clock, linear between the times, with the end values held outside."""
+    """A number over the vehicle clock, linear between the times, with the end values applied outside."""
 
     time_s: tuple[float, ...] = Field(min_length=1, description="rising, s")
     value: tuple[Positive, ...] = Field(description="one at each time")

@@ -1,10 +1,10 @@
 """Accelerations of the body and its modes, and tensions of the pendulums' rods, from one coupled system.
 
-Without its pendulums the vehicle's mass matrix is block-diagonal: six rigid coordinates, whose CG the deflected engine
-displaces slightly, and each mode alone. Every pendulum couples them through one number, the tension of its rod. Every
-engine on a compliant mount couples them through its angular acceleration. Eliminating the other accelerations leaves
-one small linear system for these unknowns (docs/model.md, section 7). The system is exact, and its size is the number
-of tanks and of such engines.
+Without pendulums, the vehicle's mass matrix is block-diagonal: six rigid coordinates, whose CG the deflected engines
+displace slightly, and each mode alone. A pendulum couples these blocks through one unknown, the tension of its rod. An
+engine on a compliant mount couples them through its angular accelerations in two planes. Elimination of the other
+accelerations leaves a small linear system for these unknowns (docs/model.md, section 7). The system is exact. Its order
+is the number of pendulums plus twice the number of such engines.
 """
 
 from __future__ import annotations
@@ -45,9 +45,13 @@ def accelerate(
 ) -> tuple[vec.Vector, vec.Vector]:
     """Return the specific force at the core CG and the angular acceleration, in B.
 
-    Modal accelerations and tensions (N) are written to `work`. `force` and `moment` (about the core CG) exclude the
-    rods' tensions. `balanced`: CG and inertia with the engines deflected. The pendulums' states begin at y[first]. On
-    the pad the body has the accelerations of the pad, and only modes and bobs respond.
+    - `on_pad`: 1 on the pad or the launch rail, where the body has the acceleration `pad_accel` and no angular
+      acceleration, and only modes and pendulums respond.
+    - `balanced`: CG and inertia with the engines deflected.
+    - `force`, `moment` (about the core CG): loads without the tensions of the rods.
+    - `first`: index of the first pendulum's state in `y`.
+
+    Modal accelerations and tensions (N) are written to `work`.
     """
     offset, inverse, modes = balanced.offset, balanced.inverse_inertia, work.modes
     planar, spatial, system, unknown = modes.planar, modes.spatial, work.system, bare_pointer(work.system.unknown)
@@ -104,7 +108,7 @@ def accelerate(
 def _arm_through_modes(
     sizes: Counts, k: int, u: vec.Vector, properties: Array, modes: Modes, tank: slosh.TankWork
 ) -> None:
-    """Add to the roll arm of tank k the effect of its tension through modes and deflected engines (7.3)."""
+    """Add the effect of tank k's tension through modes and deflected engines to its roll arm (docs/model.md, 7.3)."""
     y, z = _bending_acceleration(sizes, k, properties, modes.planar.roll_m)
     tank.roll_bend_y_m, tank.roll_bend_z_m = y, z
     roll = u[1] * y + u[2] * z
@@ -133,7 +137,7 @@ def _add_damper_to_modes(sizes: Counts, k: int, tank: slosh.TankWork, properties
 def _add_tension_to_modes(
     sizes: Counts, k: int, force_y: float, force_z: float, properties: Array, modes: PlanarMotion
 ) -> None:
-    """Add the lateral force of the rod of tank k to the modal accelerations."""
+    """Add the effect of the lateral force of tank k's rod to the modal accelerations."""
     in_pitch = sch.derived_column(sizes, sch.PITCH, sch.MODE_TANK_COMPLIANCE + k)
     in_yaw = sch.derived_column(sizes, sch.YAW, sch.MODE_TANK_COMPLIANCE + k)
     add_to_modes(sizes, properties, in_pitch, force_z, modes.accel_mps2, of_plane(sch.PITCH))
@@ -142,7 +146,7 @@ def _add_tension_to_modes(
 
 @formula
 def _entry(row: int, column: int) -> int:
-    """Return the place of an entry in the matrix of the system."""
+    """Return the index of an entry in the matrix of the system."""
     return row * MAX_UNKNOWNS + column
 
 
@@ -160,8 +164,8 @@ def _solve_tensions(
     """Solve (1/m_k) T_k + sum_l G_kl T_l = demand_k - (hinge acceleration along the rod without tensions).
 
     G is symmetric: G_kl is the acceleration of the hinge of k along its rod per newton of tension in l. With arms about
-    the CG of the deflected vehicle its rigid part is u_k.u_l / m + arm_k.(J^-1 arm_l). Both sides are multiplied by
-    m_k.
+    the CG of the deflected vehicle, its rigid part is u_k.u_l / m + arm_k.(J^-1 arm_l). Both sides are multiplied by
+    m_k, so that a tank without mass leaves the system regular.
     """
     n, planar, spatial, system = sizes.pendulums, work.modes.planar, work.modes.spatial, work.system
     matrix, unknown = bare_pointer(system.matrix), bare_pointer(system.unknown)
@@ -196,7 +200,7 @@ def _solve_tensions(
             bending = record_at(work.tank, j).bending_accel_mps2
             bending[1] += properties[in_yaw + k * n + j] * (tension * u[1])
             bending[2] += properties[in_pitch + k * n + j] * (tension * u[2])
-    for k in range(2 * sizes.tvc_loads):  # as does the engine's swing
+    for k in range(2 * sizes.tvc_loads):  # as do the angular accelerations of the engines
         for j in range(n):
             bending, turn = record_at(work.tank, j).bending_accel_mps2, unknown[n + k]
             bend_y, bend_z = _bending_acceleration(sizes, j, properties, record_at(system.swing, k).planar_accel_mps2)
@@ -220,11 +224,11 @@ def _bending_acceleration(sizes: Counts, k: int, properties: Array, accel_mps2: 
 def _add_loads(
     sizes: Counts, accel: vec.Vector, alpha: vec.Vector, properties: Array, y: Array, first: int, work: Work
 ) -> None:
-    """Add the rows and columns of the engine's angular accelerations s to the system of the tensions.
+    """Add the rows and columns of the engines' angular accelerations s to the system of the tensions.
 
     The equations are (docs/model.md, 14.4)
 
-        I_i s_i - sum_j (b_i . Y_j) s_j - sum_k h_ki T_k = known_i + b_i . X,
+            I_i s_i - sum_j (b_i . Y_j) s_j - sum_k h_ki T_k = known_i + b_i . X,
 
     and m_k h_ki s_i in the row of tank k, where h_ki is the acceleration of its hinge along the rod per unit of s_i.
     """
@@ -255,9 +259,9 @@ def _add_loads(
 
 @kernel
 def _eliminate(n: int, system: System) -> None:
-    """Solve the system in place: right-hand side in, tensions out.
+    """Solve the system in place: `unknown` contains the right-hand side, then the solution.
 
-    No pivoting is needed, because the matrix in symmetric form, with the tensions first, is definite in every pivot.
+    No pivoting is needed, because the symmetric form of the matrix is quasi-definite, so that no pivot is zero.
     """
     matrix, unknown = bare_pointer(system.matrix), bare_pointer(system.unknown)
     if n == 2:

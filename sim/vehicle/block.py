@@ -1,9 +1,9 @@
 """State blocks: the declaration of a component's integrated states.
 
-A component's module declares its states as a `StateBlock` and has kernels for their derivatives and initial values,
-whose argument is the index of the first state. `state.py` holds the list of blocks and composes from it the state
-vector, its size, initial values and names. It also holds the bounds beyond which a flight counts as diverged. The log
-rows of the states are declared in the component's module (control/kernel/rows.py).
+The module of a component declares its states as a `StateBlock` and contains the kernels of their derivatives and
+initial values, whose argument is the index of the first state. `state.py` contains the list of blocks, from which the
+state vector, its size, initial values, names and divergence limits follow. The log rows of the states are declared in
+the module of the component (control/kernel/rows.py).
 """
 
 from __future__ import annotations
@@ -19,20 +19,21 @@ from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_PENDULUMS, MA
 
 @dataclass(frozen=True)
 class Sizes:
-    """The numbers of flexible, sloshing and moving parts of a stage, which determine every index of the state."""
+    """The numbers of flexible, sloshing and moving parts of a stage, which determine all indices of the state."""
 
     pitch_modes: int
     yaw_modes: int
     pendulums: int  # slosh modes of all tanks
-    surfaces: int  # places at which the air acts on the bent body: lifting surfaces, then tables of coefficients
-    tables: int = 0  # number of these that are tables over angle of attack
+    # places at which aerodynamic loads act on the bent body: lifting surfaces, then tables of coefficients
+    surfaces: int
+    tables: int = 0  # number of these surfaces that are tables over angle of attack
     spatial_modes: int = 0
-    further_groups: int = 0  # groups of engines that move together, beyond the first
-    engines: int = 1  # alike engines of a group count once (engine/kernel.py); 1 without one
-    gimbals: int = 1  # stations of gimbals, at which the engines meet the mode shapes, and behind them of sensors
+    further_groups: int = 0  # groups of engines that move together, after the first group
+    engines: int = 1  # equal engines of a group are combined (engine/kernel.py); 1 without an engine
+    gimbals: int = 1  # stations of gimbals, then of sensors, at which mode shapes are evaluated
     thrust_curves: int = 1  # columns of the schedule
-    tvc_loads: int = 0  # engines on the compliance of their mount
-    sensors: int = 0  # rate gyros beyond the first, and an accelerometer
+    tvc_loads: int = 0  # engines with a compliant mount
+    sensors: int = 0  # rate gyros after the first, and the accelerometer
     mode_groups: int = field(init=False)  # number of groups of four modes in a plane, rounded up
 
     def __post_init__(self) -> None:
@@ -56,10 +57,10 @@ LARGEST = Sizes(
 
 
 class Counts(NamedTuple):
-    """Sizes as plain numbers, because those of a record are read again after every write to an array.
+    """Sizes as plain numbers, because compiled code reads those of a record again after every write to an array.
 
-    In a kernel compiled for one vehicle (`records.with_constants`) they are constants. This removes the arithmetic of
-    indices and the ends of loops. Measured saving: a seventh of a flight's time.
+    In a kernel compiled for one vehicle (`records.with_constants`) they are constants, so that index arithmetic and
+    loop ends are known at compile time. Measured saving: a seventh of a flight's time.
     """
 
     pitch_modes: int
@@ -98,24 +99,24 @@ def counts(sizes: Sizes) -> Counts:
 
 @kernel
 def are_usual(sizes: Counts) -> bool:
-    """Return True for at most four modes in a plane, and none of the parts that few vehicles have."""
+    """Return True for at most four modes per plane, and none of the parts that few vehicles have."""
     none = sizes.tables + sizes.spatial_modes + sizes.further_groups + sizes.tvc_loads + sizes.sensors == 0
     return none and sizes.mode_groups < 2 and sizes.engines * sizes.gimbals * sizes.thrust_curves == 1
 
 
 @kernel
 def usual_counts(sizes: Counts) -> Counts:
-    """Return counts that `are_usual` of a vehicle with modes, as constants where these are all equal.
+    """Return the usual counts of a vehicle with modes, as constants where all such vehicles have the same value.
 
-    Code inlined for them contains no loop over groups of modes, and none of the parts that few vehicles have. Measured
-    saving: a quarter of a flight's time.
+    `sizes` must satisfy `are_usual`. Code inlined for these counts contains no loop over groups of modes, and none of
+    the parts that few vehicles have. Measured saving: a quarter of a flight's time.
     """
     return Counts(sizes.pitch_modes, sizes.yaw_modes, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 1)
 
 
 @kernel
 def rigid_counts(sizes: Counts) -> Counts:
-    """Return counts that `are_usual` of a vehicle without modes, as constants where these are all equal."""
+    """Return the usual counts of a vehicle without modes, as constants where all such vehicles have the same value."""
     return Counts(0, 0, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 0)
 
 
@@ -123,10 +124,10 @@ def rigid_counts(sizes: Counts) -> Counts:
 class StateBlock:
     """The states of one kind of part: all states of the first part, then those of the next.
 
-    - `states`: name and unit of the states of a part, where `{}` in a name represents the part.
+    - `states`: name and unit of each state of a part, where `{}` in a name stands for the part.
     - `parts`: names of the parts, or the field of `Sizes` that counts them.
-    - `bound`: if the sum of the magnitudes of a part's states exceeds it, the flight has diverged, with the cause
-      `excess`.
+    - `bound`, `excess`: if the sum of the magnitudes of a part's states exceeds the bound, the flight has diverged, and
+      `excess` is the reported cause.
     """
 
     states: Mapping[str, str]
@@ -136,7 +137,7 @@ class StateBlock:
 
     @property
     def counted_by(self) -> str:
-        """Return the field of `Sizes` that counts the parts, or "" for a fixed number of them."""
+        """Return the field of `Sizes` that counts the parts, or "" for a fixed number of parts."""
         return self.parts if isinstance(self.parts, str) else ""
 
     @property
@@ -149,7 +150,7 @@ class StateBlock:
         return (name.format(part) for part in parts for name in self.states)
 
 
-# The rigid body's states come first, for every vehicle.
+# The states of the rigid body come first for every vehicle.
 R_I = 0  # position of the core CG in I, m
 V_I = 3  # its velocity in I, m/s
 Q_BI = 6  # attitude quaternion, scalar first: v_I = q v_B q*

@@ -1,6 +1,6 @@
 """The time derivative of the state, and the records that it reads.
 
-Every line of `derivative` is one part of the model, in the order in which docs/model.md derives them.
+Each step of `_derivative` is one part of the model, in the order of docs/model.md.
 """
 
 from __future__ import annotations
@@ -93,14 +93,15 @@ from maxq.sim.world.earth import gravity_gradient_torque
 
 @dataclass(frozen=True)
 class StageRecord:
-    """A stage in the form that the kernel reads."""
+    """The parameters of a stage."""
 
     sizes: Sizes
     schedule: TableRef
     engine: Engine
     actuator_pitch: Actuator
     actuator_yaw: Actuator
-    further_actuators: Annotated[tuple[Actuator, ...], (2 * MAX_ENGINES - 2,)]  # pitch, yaw of each further group
+    # pitch and yaw of each group after the first
+    further_actuators: Annotated[tuple[Actuator, ...], (2 * MAX_ENGINES - 2,)]
     tvc_load: TvcLoad
     gyro: Gyro
     sensors: Annotated[tuple[Sensor, ...], (MAX_SENSORS,)]
@@ -108,9 +109,9 @@ class StageRecord:
     bending: Bending
     spatial_modes: SpatialModes
     slosh: Slosh
-    rate_damping: TableRef  # columns about x, y, z over the schedule's clock, N m s/rad; none: no such damping
+    rate_damping: TableRef  # columns about x, y, z over the schedule's clock, N m s/rad; NO_TABLE: none
     roll_torque_Nm: float
-    turn_torque_Nm: float  # of thrusters in pitch and yaw
+    turn_torque_Nm: float  # of the thrusters in pitch and yaw
     jet_damping: int
     follower_thrust: int
     gravity_gradient: int
@@ -123,17 +124,17 @@ class Held:
     on_pad: int  # 1: held down
     on_rail: int  # 1: guided by the launch rail
     burning: int
-    command_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # command to the actuators: pitch, yaw of each group
-    engine_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # angles at the start of the step: the memory of a play
+    command_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # command to the actuators: pitch and yaw of each group
+    engine_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # angles at the start of the step, the memory of the play
     roll_torque_Nm: float
-    turn_torque_Nm: Annotated[Array, (2,)]  # of the thrusters in pitch and yaw
+    turn_torque_Nm: Annotated[Array, (2,)]  # torque of the thrusters in pitch and yaw
     settling_N: float  # forward thrust before a restart
     faults: Annotated[Array, (N_FAULT_SLOTS,)]  # see faults.py
 
 
 @dataclass
 class StageInputs:
-    """External inputs that vary within a step, evaluated at every stage of the Runge-Kutta method."""
+    """The external inputs that vary within a step, evaluated at every stage of the Runge-Kutta method."""
 
     force_x_N: float  # injected force, in B, at the core CG
     force_y_N: float
@@ -141,15 +142,15 @@ class StageInputs:
     torque_x_Nm: float
     torque_y_Nm: float
     torque_z_Nm: float
-    gust_x_mps: float  # gust in the turbulence's frame: B, or north, east, down
+    gust_x_mps: float  # gust in the frame of the turbulence: B, or north, east, down
     gust_y_mps: float
     gust_z_mps: float
-    thrust_share: float  # injected thrust of all engines, relative to their own
+    thrust_share: float  # injected thrust of all engines, relative to their thrust
 
 
 @kernel
 def derive_properties(vehicle: StageRecord, pool: Array, clock_s: float, properties: Array) -> None:
-    """Compute the derived properties, behind the columns of the schedule, once for all derivatives at an instant."""
+    """Compute the derived properties, which follow the columns of the schedule, once per instant."""
     sizes = counts(vehicle.sizes)
     if not are_usual(sizes):
         _derive_unusual_properties(vehicle, pool, clock_s, properties)
@@ -194,7 +195,7 @@ def derivative(
 ) -> None:
     """Write the derivative of `at.y` to `at.dy` and auxiliary outputs to `at.aux`.
 
-    The properties are those of this instant.
+    `at.properties` must be those of this instant.
     """
     sizes = counts(vehicle.sizes)
     if not are_usual(sizes):
@@ -412,7 +413,7 @@ def _derivative(
 def engine_motion(
     vehicle: StageRecord, sizes: Counts, held: Held, properties: Array, y: Array, work: Work, aux: Aux
 ) -> tuple[Deflected, rigid.Balance]:
-    """Return the first engine, deflected by its actuators, and CG and inertia with all engines.
+    """Return the first engine, deflected by its actuators, and the CG and inertia with all engines deflected.
 
     Further engines are written to `work`, and angles, rates and accelerations of each group to `aux`.
     """
@@ -425,7 +426,7 @@ def engine_motion(
         i = states.actuator_index(sizes, 1) + states.N_ACTUATOR * k
         motion = actuator_motion(vehicle.further_actuators[k], faults, 2 + k, y, i, command, before)
         set_motion(channel[2 + k], motion)
-    if sizes.tvc_loads > 0:  # the actuators' position is the spring's other end; the engine has angles of its own
+    if sizes.tvc_loads > 0:  # the actuators move one end of the spring; the engine has its own angles
         first_load = states.tvc_load_index(sizes)
         swing_engines(vehicle.tvc_load, vehicle.engine, sizes, y, first_load, aux.engines, aux.tvc_loads)
     axis, axis_rate, axis_accel = engine_axis_motion(vehicle.engine, 0, channel[0], channel[1])
@@ -440,7 +441,7 @@ def engine_motion(
 
 @routine
 def further_motion(e: Engine, of: Sizes, properties: Array, work: Work, aux: Aux) -> None:
-    """Write the deflected engines beyond the first to `work`."""
+    """Write the deflected engines after the first to `work`."""
     for k in range(1, of.engines):
         pitch, yaw = aux.engines.channel[2 * e.group[k]], aux.engines.channel[2 * e.group[k] + 1]
         if of.tvc_loads > 0 and e.swings[k] >= 0:
@@ -463,7 +464,7 @@ def aerodynamics(
     work: Work,
     air: AirData,
 ) -> tuple[Vector, Vector]:
-    """Return force and moment about the core CG in B, and add to the generalised forces of the modes in `work`."""
+    """Return force and moment about the core CG in B, and add the loads to the generalised forces in `work`."""
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if air_acts(vehicle.aero, air):
         flow = vector_at(air.flow_B_mps, 0)
@@ -515,9 +516,9 @@ def thrust_loads(
 ) -> tuple[Vector, Vector, Load]:
     """Return the loads of the thrust along the deflected engines on the bent body.
 
-    `share` is an injected thrust relative to that of the engines. They are the force, the moment about the core CG, and
-    the load on the modes. The load is that at the first station of gimbals; loads at other stations are added to the
-    modes directly. `outer_spatial_load` adds the moment due to the displacement by spatial modes.
+    `share` is an injected thrust relative to that of the engines. Returns the force and the moment about the core CG,
+    in B, and the load on the modes at the first station of gimbals. Loads at other stations are added to the modes
+    directly. `outer_spatial_load` adds the moment due to the displacement by spatial modes.
     """
     strength = (1.0 + share) * thrust(vehicle.engine, 0, properties[sch.THRUST_VACUUM], aux.air.pressure_Pa)
     aux.engines.thrust_N[0], aux.engines.axial_thrust_N = strength, vehicle.engine.rest_x[0] * strength
@@ -535,7 +536,7 @@ def thrust_loads(
 
 
 class Bend(NamedTuple):
-    """The motion of a gimbal's station by bending: displacement (m) and rotation (rad) in B."""
+    """The motion of a gimbal station due to bending: displacement (m) and rotation (rad) in B."""
 
     shift_y: float  # displacement by planar modes
     shift_z: float
@@ -590,9 +591,9 @@ def further_thrusts(
     work: Work,
     aux: Aux,
 ) -> tuple[Vector, Vector, Load]:
-    """Return force and moment of the engines beyond the first, and `load` plus their load.
+    """Return force and moment of the engines after the first, and `load` plus their load.
 
-    The loads refer to the first station of gimbals.
+    `load` refers to the first station of gimbals; loads at other stations are added to the modes directly.
     """
     sizes, modes = counts(of), work.modes
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -627,10 +628,10 @@ def further_reactions(
     properties: Array,
     work: Work,
 ) -> tuple[Vector, Vector, Load, Load]:
-    """Return force and moment of the reaction of the engines beyond the first, and `load` and `momentum` with theirs.
+    """Return the reaction of the engines after the first: force, moment, and `load` and `momentum` with theirs added.
 
-    Both refer to the first station. Loads at other stations are added to the modes directly, and their gyroscopic
-    moment to the moment.
+    `load` and `momentum` refer to the first station of gimbals. Loads at other stations are added to the modes
+    directly, and their gyroscopic moments to the moment.
     """
     sizes, modes = counts(of), work.modes
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -658,7 +659,10 @@ def further_reactions(
 
 @kernel
 def gravity_gradient_moment(environment: Environment, j: Symmetric, rotation: tuple[float, ...], y: Array) -> Vector:
-    """Return the gravity-gradient moment on the core."""
+    """Return the gravity-gradient moment on the core, in B, N m.
+
+    `j`: inertia integrals (products positive). `rotation`: from B to I.
+    """
     r = (
         rotation[0] * y[0] + rotation[3] * y[1] + rotation[6] * y[2],
         rotation[1] * y[0] + rotation[4] * y[1] + rotation[7] * y[2],

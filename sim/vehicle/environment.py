@@ -1,15 +1,15 @@
 """The environment at the vehicle's position: gravitation, air, wind and turbulence.
 
-The local frame on the ellipsoid and the standard atmosphere need many roots, divisions and powers. The four stages of a
-Runge-Kutta step are within metres of each other. The first is evaluated exactly and stored as the anchor (`ANCHOR_DUE`
-becomes `ANCHOR_SET`), and the others follow from it by short series. An anchor of zeros (`NO_ANCHOR`) stores nothing:
-each evaluation is then independent, as numerical differentiation requires.
+The local frame on the ellipsoid and the standard atmosphere require many roots, divisions and powers. The four stages
+of a Runge-Kutta step are within metres of each other. The first stage is evaluated exactly and stored as the anchor
+(`ANCHOR_DUE` becomes `ANCHOR_SET`); the others are computed from it by short series. With `NO_ANCHOR` nothing is
+stored, and each evaluation is independent, as numerical differentiation requires.
 
-The series are used within `NEAR_m`. At that distance the altitude is accurate to 3e-11 m (third powers omitted),
-pressure to 3e-13 relative, and the directions of north and east to 1e-10 rad (squares omitted). Near the poles the
-squares are not small, and no anchor is set. A step of 1 ms at 1 km/s covers a tenth of `NEAR_m`, with errors of 1e-13
-m, 1e-16 and 1e-12 rad. The exact formulas are used farther away, in another layer of the atmosphere, above 86 km, over
-a flat Earth and in other atmospheres than US 1976.
+The series are used within `NEAR_m`. At that distance the errors are 3e-11 m in altitude (third powers omitted), 3e-13
+relative in pressure, and 1e-10 rad in the directions of north and east (squares omitted). Near the poles the squares
+are not small, and no anchor is set. A step of 1 ms at 1 km/s covers a tenth of `NEAR_m`, with errors of 1e-13 m, 1e-16
+and 1e-12 rad. The exact formulas are used at larger distances, in another layer of the atmosphere, above 86 km, over a
+flat Earth and in atmospheres other than US 1976.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class Environment:
     atmosphere: Atmosphere
     wind: Wind
     turbulence: Turbulence
-    penetration: int  # 1: each part of the vehicle has the wind at its own place
-    reach_m: float  # distance of the last part behind the nose
+    penetration: int  # 1: each part of the vehicle has the wind at its own position
+    reach_m: float  # distance of the last part from the nose
 
 
 @dataclass
@@ -61,13 +61,13 @@ class AirData:
     mach: float
     dynamic_pressure_Pa: float
     flow_B_mps: Annotated[Array, (3,)]  # velocity relative to the air
-    wind_N_mps: Annotated[Array, (3,)]  # the air's motion relative to the Earth: north, east, down
+    wind_N_mps: Annotated[Array, (3,)]  # velocity of the air relative to the Earth: north, east, down
     gravitation_I_mps2: Annotated[Array, (3,)]
 
 
 @dataclass
 class Anchor:
-    """A place with its local frame and air."""
+    """A position with its local frame and air."""
 
     state: int  # NO_ANCHOR ... ANCHOR_SET
     place_I_m: Annotated[Array, (3,)]
@@ -76,9 +76,9 @@ class Anchor:
     cos_lat: float
     sin_lon: float
     cos_lon: float
-    curvature_north_1pm: float  # curvature of the surface at this altitude
+    curvature_north_1pm: float  # curvature of the surface at this altitude, northwards
     curvature_east_1pm: float
-    longitude_1pm: float  # turn of the longitude per metre to the east
+    longitude_1pm: float  # change of longitude per metre to the east
     pressure_Pa: float
     temperature_K: float
     inverse_temperature_1pK: float
@@ -89,8 +89,9 @@ class Anchor:
     reach_up_m: float
 
 
-CROSSFLOW_PART = MAX_SURFACES + 1  # the last part that has a wind of its own: the cross-flow's station
-PartWinds = Annotated[Array, (3 * (CROSSFLOW_PART + 1),)]  # wind of each surface and cross-flow, minus that at the CG
+CROSSFLOW_PART = MAX_SURFACES + 1  # the last part with its own wind: the station of the cross-flow
+# wind at each surface and at the cross-flow, minus that at the CG
+PartWinds = Annotated[Array, (3 * (CROSSFLOW_PART + 1),)]
 
 
 @kernel
@@ -99,7 +100,7 @@ def air_data(
 ) -> Vector:
     """Write the air data to `out`, and return the gravitation in I, m/s2.
 
-    `gust`: velocity of the turbulence, in its frame, m/s.
+    `gust`: velocity of the turbulence, in its frame, m/s. `rotation`: from B to I.
     """
     x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
     gravity = gravitation(environment.earth, x, yy, z)
@@ -139,14 +140,15 @@ def winds_along_body(
     air_at_cg: AirData,
     wind_B_mps: Array,
 ) -> None:
-    """Add the air's velocity at each part minus that at the core CG, in B, to `wind_B_mps`.
+    """Replace the turbulence in `wind_B_mps` by the air's velocity at each part minus that at the core CG, in B.
 
-    Profile and gusts are taken at the part's own altitude, along the straight axis. The difference of the turbulence is
-    already included.
+    Profile and gusts are evaluated at the altitude of the part, along the straight axis. On entry, `wind_B_mps`
+    contains the difference of the turbulence, in the frame of the turbulence.
     """
     frame, _ = frame_and_air(environment.earth, environment.atmosphere, pool, y[R_I], y[R_I + 1], y[R_I + 2], anchor)
     altitude, sin_lat, cos_lat, sin_lon, cos_lon = frame
-    upward = cos_lat * (cos_lon * rotation[0] + sin_lon * rotation[3]) + sin_lat * rotation[6]  # x axis, upward part
+    # vertical component of the x axis
+    upward = cos_lat * (cos_lon * rotation[0] + sin_lon * rotation[3]) + sin_lat * rotation[6]
     here = vector_at(air_at_cg.wind_N_mps, 0)
     for k in range(parts + 1):
         station, at = (crossflow_m, CROSSFLOW_PART) if k == parts else (stations_m[k], k)
@@ -172,8 +174,8 @@ def pad_acceleration(earth: Earth, rotation: Matrix, gravity: Vector, y: Array) 
 def rail_acceleration(earth: Earth, rotation: Matrix, pad: Vector, axial_mps2: float, y: Array) -> Vector:
     """Return the specific force of a vehicle on its launch rail, in B, m/s2.
 
-    It moves along its own axis, which turns with the Earth. `pad`: specific force of the pad. `axial_mps2`: axial force
-    of thrust and air per mass. The rail has no friction.
+    The vehicle moves without friction along its axis, which rotates with the Earth. `pad`: specific force of the pad.
+    `axial_mps2`: axial force of thrust and air per mass.
     """
     spin = rotate_back(rotation, (0.0, 0.0, earth.rate_radps))
     over_ground = rotate_back(rotation, velocity_over_ground(earth, y))
@@ -192,8 +194,8 @@ def velocity_over_ground(earth: Earth, y: Array) -> Vector:
 def climbs_certainly(earth: Earth, y: Array) -> bool:
     """Return True if the altitude increases for any figure of the Earth; always False for a flat Earth.
 
-    The velocity must be 1 degree above the horizontal of a sphere, and no normal of the ellipsoid is inclined by more
-    than 0.2 degrees to the radius.
+    The velocity must be 1 deg above the horizontal of a sphere. This is sufficient, because no normal of the ellipsoid
+    is inclined by more than 0.2 deg to the radius.
     """
     x, yy, z = y[R_I], y[R_I + 1], y[R_I + 2]
     ground = ground_velocity(earth, x, yy)
@@ -213,9 +215,9 @@ def climb_rate(earth: Earth, y: Array) -> tuple[float, float]:
 
 @routine
 def flight_direction(environment: Environment, pool: Array, y: Array) -> Vector:
-    """Return the unit vector of the velocity relative to the air, north, east, down.
+    """Return the unit vector of the velocity relative to the air without turbulence, in north, east, down.
 
-    The result is up if there is no such velocity, and in the frame BODY of the turbulence, which does not use it.
+    The result is upwards if this velocity is zero, and for turbulence in the frame BODY, which does not use it.
     """
     if environment.turbulence.frame != HORIZONTAL:
         return 0.0, 0.0, -1.0
@@ -246,8 +248,8 @@ def frame_and_air(
 ) -> tuple[Frame, Gas]:
     """Return `local_frame` and `air` at a position (frame I, m).
 
-    Within `NEAR_m` of the anchor, they are expansions about it (`air` only at altitudes within the anchor's reach). An
-    anchor that is due is set at this position.
+    Within `NEAR_m` of the anchor, the results are series about it; `air` also requires an altitude within the anchor's
+    reach. An anchor that is due is set at this position.
     """
     dx, dy, dz = x - anchor.place_I_m[0], y - anchor.place_I_m[1], z - anchor.place_I_m[2]
     if anchor.state == ANCHOR_SET and dx * dx + dy * dy + dz * dz < NEAR_m * NEAR_m:
@@ -267,7 +269,7 @@ def frame_and_air(
 def _set_anchor(
     earth: Earth, atmosphere: Atmosphere, x: float, y: float, z: float, frame: Frame, gas: Gas, anchor: Anchor
 ) -> None:
-    """Store a place, unless there is no ellipsoid or a pole is so near that meridians converge within metres."""
+    """Set the anchor at a position, unless the Earth is flat or meridians converge within metres near a pole."""
     altitude, sin_lat, cos_lat, _, _ = frame
     if earth.figure == FLAT or cos_lat < 0.1 or altitude < -1e5:
         anchor.state = NO_ANCHOR
@@ -292,7 +294,7 @@ def _set_anchor(
 
 @kernel
 def _frame_nearby(dx: float, dy: float, dz: float, anchor: Anchor) -> Frame:
-    """Return the local frame at `dx`, `dy`, `dz` from the anchor, including the curvature of the surface."""
+    """Return the local frame at `dx`, `dy`, `dz` (I, m) from the anchor, including the curvature of the surface."""
     sin_lat, cos_lat, sin_lon, cos_lon = anchor.sin_lat, anchor.cos_lat, anchor.sin_lon, anchor.cos_lon
     outward = cos_lon * dx + sin_lon * dy
     north = cos_lat * dz - sin_lat * outward

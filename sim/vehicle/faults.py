@@ -1,20 +1,21 @@
-"""The current faults: one array of numbers, all zero in a healthy vehicle, which the components read.
+"""The active faults: one array of numbers that the components read, all zero in a healthy vehicle.
 
-A fault of the scenario writes into slots of this array while it lasts (sim/flight/faults.py). Each component defines
-the meaning of its slots. A slot that is zero changes nothing.
+A fault of the scenario writes into slots of this array while it is active (sim/flight/faults.py). Each component
+defines the meaning of its slots. A slot of zero has no effect.
 """
 
 from __future__ import annotations
 
 from maxq.control.kernel.limits import MAX_ENGINES, MAX_SENSORS
 
-ANY_FAULT = 0  # 1 while any slot is in use
+ANY_FAULT = 0  # 1 while any slot is not zero
 GYRO_LOST = 1  # per axis: lost share of the gyro's output
 GYRO_ADDED = 4  # per axis: rate added to the remaining output, rad/s
-GYRO_WALK = 7  # per axis: angle random walk added to the gyro's own, rad / sqrt(s)
+GYRO_WALK = 7  # per axis: angle random walk in addition to the gyro's own, rad / sqrt(s)
 ACTUATOR_FAULT = 10  # pitch and yaw of each group: HEALTHY, STUCK, HARD_OVER or FLOATING
-ACTUATOR_ANGLE = ACTUATOR_FAULT + 2 * MAX_ENGINES  # the same: angle of a hard-over, rad
-SENSOR_FAULT = ACTUATOR_ANGLE + 2 * MAX_ENGINES  # nine slots per sensor beyond the gyro, in the gyro's order
-SENSOR_SLOTS = 9  # for an accelerometer in m/s2 and (m/s) / sqrt(s)
+ACTUATOR_ANGLE = ACTUATOR_FAULT + 2 * MAX_ENGINES  # per actuator: angle of a hard-over, rad
+# nine slots per sensor after the gyro, in the order of the gyro's slots
+SENSOR_FAULT = ACTUATOR_ANGLE + 2 * MAX_ENGINES
+SENSOR_SLOTS = 9  # of an accelerometer in m/s2 and (m/s) / sqrt(s)
 N_FAULT_SLOTS = SENSOR_FAULT + SENSOR_SLOTS * MAX_SENSORS
 HEALTHY, STUCK, HARD_OVER, FLOATING = 0.0, 1.0, 2.0, 3.0

@@ -1,16 +1,19 @@
 """The properties of a vehicle over time: columns of one table per stage, and their layout.
 
-Mass, thrust, tanks and modes change as propellant leaves. All are columns of one table over the stage's burn clock, so
-that a kernel finds the interval once and evaluates every column in one sweep. The values at an instant are the array
-`properties` of the kernels.
+Mass, thrust, tanks and modes change as propellant is consumed. All are columns of one table over the stage's burn
+clock, so that a kernel searches the interval once and evaluates all columns together. Their values at an instant are
+the array `properties` of the kernels. The order of the columns is:
 
-Fixed columns come first, then eight per tank, then the planar modes: row by row for all modes of a plane (pitch plane,
-then yaw plane). A row has a multiple of four modes, with unused ones zero, so that kernels process four modes at a
-time. Then follow the spatial modes, row by row for all modes: frequency and mass, six rows for each place, softening
-and turning. A place is a station at which loads or sensors act, and its rows are displacement along and rotation about
-x, y, z. Further thrust curves follow last.
+- the fixed columns;
+- eight columns per tank;
+- the planar modes, row by row for all modes of a plane (pitch, then yaw). A row has a multiple of four modes, with
+  zeros for unused modes, so that kernels process four modes at a time;
+- the spatial modes, row by row for all modes: frequency and mass, six rows for each place, softening and turning. A
+  place is a station at which loads or sensors act; its rows are displacement along and rotation about x, y, z;
+- further thrust curves.
 
-Behind the table's columns are properties derived from them, computed by `complete_modes` and `rigid.prepare_outflow`.
+Properties derived from these columns follow in the array. They are computed by `complete_modes`,
+`complete_spatial_modes`, `rigid.prepare_outflow` and `derive_properties`.
 """
 
 from __future__ import annotations
@@ -20,23 +23,23 @@ from maxq.control.kernel.records import Array
 from maxq.sim.vehicle.block import Counts, Sizes
 
 CORE_MASS = 0  # kg, without the sloshing masses
-CORE_CG = 1  # x_n aft of the nose, y, z, m
+CORE_CG = 1  # station aft of the nose, y, z, m
 CORE_INERTIA = 4  # integrals about the core CG in B, kg m2: Ixx, Iyy, Izz, Ixy, Ixz, Iyz (products positive)
 CG_RATE = 10  # time derivative of CORE_CG, m/s
 INERTIA_RATE = 13  # time derivative of CORE_INERTIA, kg m2/s
-TOTAL_MASS = 19  # kg, sloshing masses included
-MASS_FLOW = 20  # kg/s, minus the derivative of TOTAL_MASS
-THRUST_VACUUM = 21  # N, the first curve; see `thrust_column` for further ones
+TOTAL_MASS = 19  # kg, including the sloshing masses
+MASS_FLOW = 20  # kg/s, the negative derivative of TOTAL_MASS
+THRUST_VACUUM = 21  # N, first curve; see `thrust_column` for the others
 N_CONSTANT = 22
 
 TANK_MASS = 0  # kg
 TANK_LENGTH = 1  # pendulum length, m
 TANK_HINGE = 2  # station of the hinge, m aft of the nose
 TANK_MASS_RATE = 3  # kg/s
-TANK_TRAVEL = 4  # rate at which the bob moves aft with the liquid, m/s: of hinge plus length
+TANK_TRAVEL = 4  # rate at which the bob moves aft with the liquid, m/s: derivative of hinge plus length
 TANK_VISCOUS = 5  # damping ratio of a smooth wall times the fourth root of the axial load, (m/s2)^(1/4)
-TANK_RING = 6  # damping ratio of ring baffles over the root of the swing
-TANK_WAVE = 7  # height of the wave per sine of the swing, m; 0: not known
+TANK_RING = 6  # damping ratio of ring baffles divided by the square root of the swing
+TANK_WAVE = 7  # wave height per sine of the swing, m; 0: unknown
 TANK_WIDTH = 8
 
 MODE_OMEGA = 0  # rows of a plane: rad/s
@@ -44,20 +47,21 @@ MODE_MASS = 1  # generalised mass, kg
 MODE_PHI_GIMBAL = 2
 MODE_SLOPE_GIMBAL = 3  # d(phi)/d(x_n), 1/m
 MODE_SLOPE_GYRO = 4
-MODE_FIRST = 5  # then phi at each tank; phi, slope at each surface and further gimbal; axial softening by each, kg/m
+# then phi at each tank; phi, slope at each surface and further gimbal; axial softening by each mode, kg/m
+MODE_FIRST = 5
 
 SPATIAL_OMEGA = 0  # rows of the spatial modes: rad/s
 SPATIAL_MASS = 1  # generalised mass, kg
 SPATIAL_FIRST = 2  # then six at each place; axial softening by each mode, kg/m; turning by each mode (eq. 4.7)
 GYRO_PLACE = 0
 
-# derived, behind the table
+# Derived properties, which follow the columns of the table.
 INVERSE_CORE_MASS = 0  # 1/kg
 INVERSE_TOTAL_MASS = 1
 INNER_FLOW = 2  # momentum of the propellant relative to the body, B, kg m/s (3)
-JET_DAMPING = 5  # integrals, as of an inertia, that times the turning rate give minus its moment, kg m2/s (6)
-MOMENT_REFERENCE = 11  # station about which the aerodynamic moments are given, m aft of the nose
-RATE_DAMPING = 12  # moments against body rates that are given with the mass properties, N m s/rad (3)
+JET_DAMPING = 5  # integrals, as of an inertia, which times the angular rate give minus the moment, kg m2/s (6)
+MOMENT_REFERENCE = 11  # station to which the aerodynamic moments refer, m aft of the nose
+RATE_DAMPING = 12  # moment per body rate, given with the mass properties, N m s/rad (3)
 N_DERIVED = 15
 MODE_INVERSE_MASS = 0  # rows of a plane, and of the spatial modes: 1/kg
 MODE_STIFFNESS = 1  # N/m
@@ -74,7 +78,7 @@ def tank_column(tank: int) -> int:
 
 @formula
 def padded_modes(sizes: Sizes | Counts) -> int:
-    """Return the columns of a row of modal quantities: the modes of a plane and zeros up to a multiple of four."""
+    """Return the length of a row of modal quantities: the modes of a plane, padded to a multiple of four."""
     return 4 * sizes.mode_groups
 
 
@@ -86,13 +90,13 @@ def mode_rows(sizes: Sizes | Counts) -> int:
 
 @formula
 def mode_column(sizes: Sizes | Counts, plane: int, row: int) -> int:
-    """Return the first mode's column of a row of a plane (PITCH, YAW); the other modes follow."""
+    """Return the column of the first mode in a row of a plane (PITCH, YAW); the other modes follow."""
     return N_CONSTANT + TANK_WIDTH * sizes.pendulums + (plane * mode_rows(sizes) + row) * padded_modes(sizes)
 
 
 @formula
 def softening_row(sizes: Sizes | Counts, mode: int) -> int:
-    """Return the row of the softening of each mode under axial load per displacement of `mode`."""
+    """Return the row of the softening of each mode under axial load, per displacement of `mode`."""
     return gimbal_row(sizes, sizes.gimbals) + mode
 
 
@@ -119,25 +123,25 @@ def gimbal_place(sizes: Sizes | Counts, gimbal: int) -> int:
 
 @formula
 def spatial_column(sizes: Sizes | Counts, row: int) -> int:
-    """Return the first spatial mode's column of a row; the other modes follow."""
+    """Return the column of the first spatial mode in a row; the other modes follow."""
     return mode_column(sizes, 2, 0) + row * sizes.spatial_modes
 
 
 @formula
 def place_column(sizes: Sizes | Counts, place: int, component: int) -> int:
-    """Return the column of a component of the shapes at a place: 0 to 2 displacement, 3 to 5 rotation (1/m), B."""
+    """Return the column of a component of the shapes at a place: 0 to 2 displacement, 3 to 5 rotation (1/m), in B."""
     return spatial_column(sizes, SPATIAL_FIRST + 6 * place + component)
 
 
 @formula
 def spatial_softening_row(sizes: Sizes | Counts, mode: int) -> int:
-    """Return the row of the softening of each spatial mode under axial load per displacement of `mode`."""
+    """Return the row of the softening of each spatial mode under axial load, per displacement of `mode`."""
     return SPATIAL_FIRST + 6 * gimbal_place(sizes, sizes.gimbals) + mode
 
 
 @formula
 def turning_row(sizes: Sizes | Counts, mode: int) -> int:
-    """Return the row of the share of each spatial mode in the shape of `mode` turned by a right angle about x."""
+    """Return the row of the share of each spatial mode in the shape of `mode` rotated by 90 deg about x."""
     return spatial_softening_row(sizes, sizes.spatial_modes) + mode
 
 
@@ -149,7 +153,7 @@ def gimbal_row(sizes: Sizes | Counts, gimbal: int) -> int:
 
 @formula
 def thrust_column(sizes: Sizes | Counts, curve: int) -> int:
-    """Return the column of a curve of vacuum thrust; further curves are behind the modes."""
+    """Return the column of a curve of vacuum thrust; curves after the first follow the modes."""
     return THRUST_VACUUM if curve == 0 else spatial_column(sizes, turning_row(sizes, sizes.spatial_modes)) + curve - 1
 
 
@@ -160,7 +164,7 @@ def schedule_width(sizes: Sizes | Counts) -> int:
 
 @formula
 def derived_column(sizes: Sizes | Counts, plane: int, row: int) -> int:
-    """Return the column in the derived rows behind the table, as `mode_column` does for the table."""
+    """Return the column of the first mode in a row of derived properties, as `mode_column` does for the table."""
     return (
         schedule_width(sizes)
         + N_DERIVED
@@ -170,19 +174,19 @@ def derived_column(sizes: Sizes | Counts, plane: int, row: int) -> int:
 
 @formula
 def compliance_column(sizes: Sizes | Counts, plane: int) -> int:
-    """Return the first column after the table's: the sum over the modes of phi_k phi_j / M for tanks k, j."""
+    """Return the first column of the compliances: sums over the modes of phi_k phi_j / M for tanks k, j."""
     return derived_column(sizes, 2, 0) + plane * sizes.pendulums * sizes.pendulums
 
 
 @formula
 def spatial_derived(sizes: Sizes | Counts, row: int) -> int:
-    """Return the column in the derived rows behind the table, as `spatial_column` does for the table."""
+    """Return the column of the first spatial mode in a row of derived properties."""
     return compliance_column(sizes, 2) + row * sizes.spatial_modes
 
 
 @formula
 def properties_size(sizes: Sizes | Counts) -> int:
-    """Return the number of columns of the table and its derived properties."""
+    """Return the number of columns of the table plus that of the derived properties."""
     return spatial_derived(sizes, MODE_TANK_COMPLIANCE)
 
 

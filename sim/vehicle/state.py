@@ -2,14 +2,14 @@
 
     r_I v_I q_BI w_BI_B | actuator pitch, yaw | gyro roll, pitch, yaw | gyro integrals
     eta[n_pitch] nu_pitch[n_pitch] xi[n_yaw] nu_yaw[n_yaw] | eta[n_spatial] nu[n_spatial]
-    per tank: u_B (3), kappa_B (3) | per further group of engines: actuator pitch, yaw
-    per TVC load: angle, rate, friction in pitch and yaw | per sensor beyond the gyro: output, integral
+    per pendulum: u_B (3), kappa_B (3) | per further group of engines: actuator pitch, yaw
+    per TVC load: angle, rate, friction in pitch and yaw | per sensor after the gyro: output, integral
 
-The first `N_FIXED` entries are the same for every vehicle. The vehicle's bending and slosh states follow. Position and
-velocity are those of the *core* CG (the vehicle without its sloshing masses, engine straight), in the inertial frame.
-The modal rates are quasi-velocities that include the rotation of the bending plane with the roll rate p: nu_pitch =
-d(eta)/dt + p xi, nu_yaw = d(xi)/dt - p eta. A pendulum is the unit vector u_B from its hinge to its bob and kappa_B,
-the *inertial* derivative of that vector in body components (docs/model.md, section 1).
+The first `N_FIXED` entries are the same for every vehicle. The bending and slosh states of the vehicle follow. Position
+and velocity are those of the *core* CG (the vehicle without its sloshing masses, with the engine at rest), in the
+inertial frame. The modal rates are quasi-velocities that include the rotation of the bending plane with the roll rate
+p: nu_pitch = d(eta)/dt + p xi, nu_yaw = d(xi)/dt - p eta. The states of a pendulum are two vectors in body components
+(docs/model.md, section 1): the unit vector u_B from its hinge to its bob, and its *inertial* derivative kappa_B.
 """
 
 from __future__ import annotations
@@ -49,19 +49,19 @@ BLOCKS = (
 )  # fmt: skip  # a table
 BOUNDED = (ANGULAR_VELOCITY, ETA_STATES, XI_STATES, SPATIAL_STATES, POSITION, VELOCITY)  # checked in this order
 
-Index = tuple[int, ...]  # index of a state: a constant, and the increment for each part of a field of `Counts`
+Index = tuple[int, ...]  # index of a state: a constant, and the increment per part for each field of `Counts`
 _NO_PARTS: Index = (0,) * (1 + len(Counts._fields))
 
 
 def _index_of(block: StateBlock | None) -> Index:
-    """Return the index of a block's first state; for None the index of the end, which is the number of states."""
+    """Return the index of a block's first state; for None the number of states."""
     before = BLOCKS if block is None else BLOCKS[: BLOCKS.index(block)]
     widths = [tuple(len(b.states) * parts for parts in _parts_of(b)) for b in before]
     return tuple(sum(column) for column in zip(*widths, strict=True)) or _NO_PARTS
 
 
 def _parts_of(block: StateBlock) -> Index:
-    """Return the number of a block's parts, in the same form."""
+    """Return the number of a block's parts, in the form of an index."""
     return block.fixed_parts, *(int(block.counted_by == field) for field in Counts._fields)
 
 
@@ -77,9 +77,9 @@ MAX_STATE = sum(
     len(b.states) * (getattr(LARGEST, b.counted_by) if b.counted_by else b.fixed_parts) for b in BLOCKS
 )  # fmt: skip  # one sum
 
-FINITE, NOT_FINITE = 0, 1  # causes of divergence; 2 and on: a bounded block, in the order of BOUNDED
+FINITE, NOT_FINITE = 0, 1  # causes of divergence; from 2 on, a bounded block in the order of BOUNDED
 CAUSES = ("", "a state is not finite", *(block.excess for block in BOUNDED))
-# for each bounded block: its first state, its number of parts, the states of a part, the bound
+# for each bounded block: its first state, its number of parts, the number of states per part, the bound
 _LIMITS: tuple[tuple[Index, Index, int, float], ...] = tuple(
     (_index_of(b), _parts_of(b), len(b.states), b.bound) for b in BOUNDED
 )
@@ -89,7 +89,7 @@ _LIMITS: tuple[tuple[Index, Index, int, float], ...] = tuple(
 def _at(index: Index, sizes: Sizes | Counts) -> int:
     """Evaluate an index with the fields of `Counts` in their order.
 
-    A loop over them would not become one constant expression.
+    The terms are written out, because a loop over them would not become one constant expression.
     """
     modes = index[1] * sizes.pitch_modes + index[2] * sizes.yaw_modes
     rest = index[3] * sizes.pendulums + index[4] * sizes.surfaces + index[5] * sizes.tables
@@ -104,45 +104,45 @@ def state_size(sizes: Sizes | Counts) -> int:
 
 @kernel
 def eta_index(sizes: Sizes | Counts) -> int:
-    """Return the index of the pitch plane's first modal coordinate; its rates follow after `pitch_modes` entries."""
+    """Return the index of the first modal coordinate in pitch; the rates follow `pitch_modes` entries later."""
     return _at(_ETA, sizes)
 
 
 @kernel
 def xi_index(sizes: Sizes | Counts) -> int:
-    """Return the index of the yaw plane's first modal coordinate; its rates follow after `yaw_modes` entries."""
+    """Return the index of the first modal coordinate in yaw; the rates follow `yaw_modes` entries later."""
     return _at(_XI, sizes)
 
 
 @kernel
 def spatial_index(sizes: Sizes | Counts) -> int:
-    """Return the index of the spatial modes' first coordinate; the rates follow after `spatial_modes` entries."""
+    """Return the index of the first coordinate of the spatial modes; the rates follow `spatial_modes` entries later."""
     return _at(_SPATIAL, sizes)
 
 
 @kernel
 def pendulum_index(sizes: Sizes | Counts, tank: int) -> int:
-    """Return the index of u_B of a tank's pendulum; kappa_B follows after three entries."""
+    """Return the index of u_B of a pendulum; kappa_B follows three entries later."""
     return _at(_PENDULUM, sizes) + N_PENDULUM * tank
 
 
 @kernel
 def actuator_index(sizes: Sizes | Counts, group: int) -> int:
-    """Return the index of the first state of a group's pitch actuator; that of yaw follows after `N_ACTUATOR`."""
+    """Return the index of the first state of a group's pitch actuator; yaw follows `N_ACTUATOR` entries later."""
     return ACTUATOR if group == 0 else _at(_FURTHER_ACTUATORS, sizes) + 2 * N_ACTUATOR * (group - 1)
 
 
 @kernel
 def tvc_load_index(sizes: Sizes | Counts) -> int:
-    """Return the index of angle, rate and friction of the first TVC load, pitch and yaw."""
+    """Return the index of angle, rate and friction of the first TVC load in pitch; those in yaw follow."""
     return _at(_TVC_LOAD, sizes)
 
 
 @kernel
 def sensor_index(sizes: Sizes | Counts, sensor: int) -> int:
-    """Return the index of a sensor's output and its rate about or along x, y, z.
+    """Return the index of a sensor's outputs and their rates about or along x, y, z.
 
-    The integrals of the outputs follow after six entries.
+    The integrals of the outputs follow six entries later.
     """
     return _at(_SENSORS, sizes) + N_SENSOR * sensor
 
@@ -153,9 +153,10 @@ def state_names(sizes: Sizes) -> tuple[str, ...]:
 
 @routine
 def start_states(sizes: Sizes, rate: Vector, separation: int, y: Array) -> None:
-    """Set the initial values of all blocks except that of the rigid body, which turns at `rate` (B, rad/s).
+    """Set the initial values of all blocks except those of the rigid body, which turns at `rate` (B, rad/s).
 
-    `separation` = 1 sets those at the start of a later stage, where gyro and further sensors keep their states.
+    With `separation` = 1, the values are those at the start of a later stage, where the gyro and the further sensors
+    keep their states.
     """
     for i in range(ACTUATOR, state_size(sizes) if separation == 0 else sensor_index(sizes, 0)):
         if separation == 0 or i < GYRO or i >= N_FIXED:
@@ -168,7 +169,7 @@ def start_states(sizes: Sizes, rate: Vector, separation: int, y: Array) -> None:
 
 @kernel
 def restore_constraints(sizes: Counts, y: Array) -> None:
-    """Restore the length one of the quaternion and the pendulums' unit vectors, and make their rates perpendicular."""
+    """Normalise the quaternion and the pendulums' unit vectors, and make the pendulums' rates perpendicular to them."""
     a, b, c, d = y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3]
     scale = 1.0 / math.sqrt(a * a + b * b + c * c + d * d)
     for j in range(4):
@@ -181,7 +182,7 @@ def restore_constraints(sizes: Counts, y: Array) -> None:
 def divergence_cause(sizes: Counts, y: Array) -> int:
     """Return the cause of divergence of a state (index into CAUSES), or FINITE."""
     infinite = 0
-    for i in range(state_size(sizes)):  # without an exit, so that several states are compared at a time
+    for i in range(state_size(sizes)):  # without an early exit, so that several states are compared at a time
         infinite += 0 if abs(y[i]) < math.inf else 1  # a NaN fails every comparison
     if infinite > 0:
         return NOT_FINITE

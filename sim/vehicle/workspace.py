@@ -1,6 +1,6 @@
-"""The memory of the derivative: kernels allocate nothing, so their caller provides these records.
+"""The memory of the derivative, provided by the caller, because kernels allocate nothing.
 
-Each part declares its own records in its module.
+The module of each component declares its own records.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ from maxq.sim.vehicle.modes.planar import GimbalBending, Modes
 from maxq.sim.vehicle.slosh.kernel import TankWork
 from maxq.sim.vehicle.tvc_load.kernel import System, TvcLoadOutputs
 
-# columns of the widest schedule (12 modes a plane, 12 spatial modes, 8 tanks, 9 surfaces, 9 engines and 5 sensors at as
-# many stations: 4324) and derived properties (439)
+# columns of the widest schedule (12 modes per plane, 12 spatial modes, 8 tanks, 9 surfaces, 9 engines and 5 sensors at
+# different stations: 4324) and derived properties (439)
 PROPERTIES_SIZE = 4864
 
 
 @dataclass
 class Work:
-    """The values that the parts of one evaluation pass to each other."""
+    """The intermediate values of one evaluation, which the components exchange."""
 
     anchor: Anchor
     modes: Modes
     aero: AeroWork
-    engine: Annotated[tuple[KeptEngine, ...], (MAX_ENGINES,)]  # beyond the first
+    engine: Annotated[tuple[KeptEngine, ...], (MAX_ENGINES,)]  # after the first
     tank: Annotated[tuple[TankWork, ...], (MAX_PENDULUMS,)]
     system: System
 
 
 @dataclass
 class Aux:
-    """The auxiliary outputs of an evaluation, which metrics, events and logs read."""
+    """The auxiliary outputs of an evaluation for metrics, events and logs."""
 
     air: AirData
     engines: EngineOutputs
@@ -44,17 +44,17 @@ class Aux:
     gimbal_bending: GimbalBending
     aero_force_B_N: Annotated[Array, (3,)]
     aero_moment_B_Nm: Annotated[Array, (3,)]  # about the core CG
-    specific_force_B_mps2: Annotated[Array, (3,)]  # at the core CG: acceleration less gravitation
+    specific_force_B_mps2: Annotated[Array, (3,)]  # at the core CG: acceleration minus gravitation
     alpha_BI_B_radps2: Annotated[Array, (3,)]  # angular acceleration
-    gyro_bending_radps: Annotated[Array, (2,)]  # angular rate that bending adds at the gyro: pitch, yaw
+    gyro_bending_radps: Annotated[Array, (2,)]  # angular rate due to bending at the gyro: pitch, yaw
     axial_load_mps2: float  # axial specific force that softens the modes and drives the pendulums
-    tension_N: Annotated[Array, (MAX_PENDULUMS,)]  # of each pendulum's rod
+    tension_N: Annotated[Array, (MAX_PENDULUMS,)]  # of the rod of each pendulum
 
 
 class Evaluation(NamedTuple):
     """The arguments and results of one evaluation of the derivative."""
 
-    properties: Array  # of the vehicle at this instant, see schedule.py
+    properties: Array  # of the vehicle at this instant (schedule.py)
     y: Array
     dy: Array
     aux: Aux

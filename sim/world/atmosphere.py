@@ -1,14 +1,15 @@
 """The air at rest: density, pressure, temperature and speed of sound over geometric altitude.
 
-US Standard Atmosphere 1976 (NOAA-S/T 76-1562), with its own constants (R* = 8314.32 N m/(kmol K), M = 28.9644
-kg/kmol, gamma = 1.4, r0 = 6356.766 km):
-- to 86 km by its closed formulas. Temperature is the molecular-scale temperature, which exceeds the kinetic one by up
-  to 0.08 K between 80 and 86 km. Below sea level the first layer's equations extend to -5 km, the lower end of the
-  standard's tables. Below -5 km the values at -5 km hold;
-- from 86 to 1000 km by cubics through the solution of its equations (`thermosphere.upper_air`), with the kinetic
-  temperature. At 86 km density and pressure step by 1e-5. The standard gives no speed of sound above 86 km. It is
-  sqrt(gamma p / rho) there too, so that a Mach number exists;
-- above 1000 km, where the standard ends, there is no air.
+The model is the US Standard Atmosphere 1976 (NOAA-S/T 76-1562), with its own constants (R* = 8314.32 N m/(kmol K), M =
+28.9644 kg/kmol, gamma = 1.4, r0 = 6356.766 km):
+
+- Up to 86 km, its closed formulas apply. Temperature is the molecular-scale temperature, which exceeds the kinetic
+  temperature by up to 0.08 K between 80 and 86 km. Below sea level the equations of the first layer extend to -5 km,
+  the lower end of the standard's tables. Below -5 km the values are constant.
+- From 86 to 1000 km, cubics through the solution of its equations (`thermosphere.upper_air`) apply, with the kinetic
+  temperature. At 86 km density and pressure jump by 1e-5. The standard contains no speed of sound above 86 km; here it
+  is sqrt(gamma p / rho), so that a Mach number exists.
+- Above 1000 km, where the standard ends, there is no air.
 """
 
 from __future__ import annotations
@@ -25,23 +26,23 @@ from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, TableRef, find_
 
 VACUUM, US1976, TABLE, CONSTANT = 0, 1, 2, 3  # Atmosphere.model
 
-GAS_CONSTANT_Jpkg_K = 8314.32 / 28.9644  # air
+GAS_CONSTANT_Jpkg_K = 8314.32 / 28.9644  # of air
 HEAT_RATIO = 1.4
 SEA_LEVEL_PRESSURE_Pa = 101325.0
 SEA_LEVEL_TEMPERATURE_K = 288.15
 SEA_LEVEL_DENSITY_kgpm3 = SEA_LEVEL_PRESSURE_Pa / (GAS_CONSTANT_Jpkg_K * SEA_LEVEL_TEMPERATURE_K)
 GEOPOTENTIAL_RADIUS_m = 6356766.0
-LOWEST_m = -5000.0  # geometric
-TOP_m = 86000.0  # geometric top of the closed formulas
+LOWEST_m = -5000.0  # geometric altitude
+TOP_m = 86000.0  # geometric altitude of the top of the closed formulas
 
-_G0_OVER_R_Kpm = 9.80665 / GAS_CONSTANT_Jpkg_K  # [K/m] pressure falls by exp(-g0 dH / (R T))
+_G0_OVER_R_Kpm = 9.80665 / GAS_CONSTANT_Jpkg_K  # [K/m]; pressure falls by exp(-g0 dH / (R T))
 
 
 def _layers() -> tuple[Array, Array, Array, Array]:
     """Return the bases of the standard's layers.
 
     The arrays are geopotential altitude [m], lapse rate [K/m], temperature [K] and pressure [Pa]. Temperature and
-    pressure follow from the other two, layer by layer, so that all are continuous.
+    pressure are computed from the other two, layer by layer, so that they are continuous.
     """
     base = np.array([0.0, 11e3, 20e3, 32e3, 47e3, 51e3, 71e3])
     lapse = np.array([-6.5e-3, 0.0, 1.0e-3, 2.8e-3, 0.0, -2.8e-3, -2.0e-3])
@@ -65,12 +66,12 @@ _LAPSE_Kpm = tuple(map(float, _lapse))
 _TEMPERATURE_K = tuple(map(float, _temperature))
 _PRESSURE_Pa = tuple(map(float, _pressure))
 _INVERSE_TEMPERATURE = tuple(map(float, 1.0 / _temperature))
-# What multiplies dH in the exponential (isothermal layers), or the power of T / T_base (the others).
+# The factor of dH in the exponential (isothermal layers), or the power of T / T_base (other layers).
 _EXPONENT = tuple(
     -_G0_OVER_R_Kpm / lapse if lapse else -_G0_OVER_R_Kpm / t
     for lapse, t in zip(_LAPSE_Kpm, _TEMPERATURE_K, strict=True)
 )
-# Geometric altitudes between which a layer's formula holds.
+# Geometric altitudes between which the formula of a layer is valid.
 _FLOOR_m = (LOWEST_m, *(GEOPOTENTIAL_RADIUS_m * h / (GEOPOTENTIAL_RADIUS_m - h) for h in _BASE_m[1:]))
 _CEILING_m = (*_FLOOR_m[1:], TOP_m)
 
@@ -79,8 +80,9 @@ _CEILING_m = (*_FLOOR_m[1:], TOP_m)
 class Atmosphere:
     """The parameter record of the atmosphere.
 
-    `model`: VACUUM, US1976 (`table`: `thermosphere.upper_air`), TABLE (`table`, see `air_table`), CONSTANT (the three
-    values). `density_factor` multiplies only the density of any model: it is a dispersion, not a gas law.
+    `model`: VACUUM, US1976 (`table`: `thermosphere.upper_air`), TABLE (`table`: `air_table`), or CONSTANT (the three
+    values). `density_factor` multiplies only the density of any model: it is a dispersion, and not consistent with the
+    gas law.
     """
 
     model: int = US1976
@@ -92,9 +94,9 @@ class Atmosphere:
 
 
 def pressure_altitude(pressure_Pa: Array) -> Array:
-    """Return the geometric altitudes (n,), m, of these pressures in the standard atmosphere.
+    """Return the geometric altitudes (n,), m, of pressures (n,) in the standard atmosphere.
 
-    The limit is its 71 km. nan stays nan.
+    Valid up to 86 km. nan gives nan.
     """
     i = np.clip(np.searchsorted(-_pressure, -pressure_Pa, side="right") - 1, 0, len(_pressure) - 1)
     lapse, fall = _lapse[i], pressure_Pa / _pressure[i]
@@ -115,7 +117,7 @@ def air_table(
     """Return the table for `Atmosphere.table`: columns ln(density), ln(pressure), temperature over geometric altitude.
 
     The logarithms are interpolated because density and pressure fall almost exponentially. Rows every 2 km then agree
-    with the standard atmosphere within 0.3 % half-way between them, or 1 % if a row steps over the tropopause. No
+    with the standard atmosphere within 0.3 % midway between them, or 1 % if a row steps over the tropopause. No
     interpolated value can be negative. Raises ValueError for fewer than two rows, values that are not positive, or
     altitudes that do not increase.
     """
@@ -133,7 +135,7 @@ def air(atmosphere: Atmosphere, pool: Array, altitude_m: float) -> tuple[float, 
     """Return (density [kg/m3], pressure [Pa], temperature [K], speed of sound [m/s]) at a geometric altitude [m].
 
     Temperature and speed of sound are positive everywhere, so that a Mach number always exists; a vacuum has those of
-    sea level. Below a table its first row holds, and above it the air is isothermal.
+    sea level. Below a table, the values of its first row apply; above it, the air is isothermal.
     """
     if atmosphere.model == US1976:
         if altitude_m >= TOP_m:
@@ -160,7 +162,7 @@ def speed_of_sound(temperature_K: float) -> float:
 def us1976(altitude_m: float) -> tuple[float, float]:
     """Return (pressure [Pa], temperature [K]) of the standard below 86 km.
 
-    A call needs one power or one exponential.
+    A call evaluates one power or one exponential.
     """
     h = max(altitude_m, LOWEST_m)
     geopotential = GEOPOTENTIAL_RADIUS_m * h / (GEOPOTENTIAL_RADIUS_m + h)
@@ -184,8 +186,8 @@ def _layer(geopotential_m: float) -> int:
 def us1976_about(altitude_m: float, temperature_K: float) -> tuple[float, float, float, float, float]:
     """Return the arguments of `us1976_nearby` at an altitude with this temperature from `us1976`.
 
-    These are geopotential metres per metre, curvature of that [1/m], lapse rate [K/m], and the distances [m] to the
-    ends of the layer, down (negative) and up.
+    These are geopotential metres per metre, the curvature of this relation [1/m], the lapse rate [K/m], and the
+    distances [m] to the layer's ends, down (negative) and up.
     """
     h = max(altitude_m, LOWEST_m)
     inverse = 1.0 / (GEOPOTENTIAL_RADIUS_m + h)
@@ -198,10 +200,11 @@ def us1976_about(altitude_m: float, temperature_K: float) -> tuple[float, float,
 def us1976_nearby(
     pressure_Pa: float, inverse_temperature: float, lapse_Kpm: float, geopotential_rise_m: float
 ) -> tuple[float, float]:
-    """Return pressure [Pa] and ratio of temperatures after a rise within a layer.
+    """Return the pressure [Pa] and the ratio of the temperatures after a rise within a layer.
 
-    The rise may be some ten geopotential metres. The power series of both formulas of the standard have the same terms:
-    p'/p = -g0/(R T), T' = lapse. They are cut before the fourth power, with a relative error of 3e-13 at 10 m.
+    Valid for a rise of about ten geopotential metres. The power series of both formulas of the standard have the same
+    terms: p'/p = -g0/(R T), T' = lapse. They are truncated before the fourth power, with a relative error of 3e-13 at
+    10 m.
     """
     lapse = lapse_Kpm * inverse_temperature
     first = -_G0_OVER_R_Kpm * inverse_temperature
@@ -215,7 +218,7 @@ def us1976_nearby(
 def _upper_air(pool: Array, table: TableRef, altitude_m: float) -> tuple[float, float, float, float]:
     """Return (density, pressure, temperature, speed of sound) of the standard above 86 km.
 
-    The density is zero above its end.
+    Density and pressure are zero above its end.
     """
     k = find_interval(pool, table, altitude_m)
     log_density = interpolate(pool, table, k, altitude_m, 0)
@@ -236,7 +239,7 @@ def _table_air(pool: Array, table: TableRef, altitude_m: float) -> tuple[float, 
     temperature = interpolate(pool, table, k, altitude_m, 2)
     top = pool[table.offset + table.n_breaks - 1]
     if altitude_m > top:
-        # geopotential difference: r0 h / (r0 + h) at both ends, on one denominator
+        # Geopotential difference: r0 h / (r0 + h) at both ends, on a common denominator.
         rise = (altitude_m - top) / ((1.0 + altitude_m / GEOPOTENTIAL_RADIUS_m) * (1.0 + top / GEOPOTENTIAL_RADIUS_m))
         fall = _G0_OVER_R_Kpm * rise / temperature
         log_density -= fall

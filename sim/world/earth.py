@@ -4,8 +4,8 @@ Frames: I inertial and E Earth-fixed, both Earth-centred with z to the north pol
 North-East-Down on the geodetic normal. On a flat Earth I = E = N at the site (x north, y east, z down).
 
 A rotation about the pole changes neither altitude nor local axes. Hence a kernel with a position in I computes altitude
-and the NED axes *in I* directly, without the Earth's rotation angle. Only a longitude needs the position in E. The hot
-path (`local_frame`, `ned_to_earth`, ...) calls no trigonometric function.
+and the NED axes *in I* directly, without the Earth's rotation angle. Only a longitude requires the position in E. The
+functions used at every step (`local_frame`, `ned_to_earth`, ...) call no trigonometric function.
 
 Constants are those of the NESC check cases (NASA/TM-2015-218675): WGS-84 with the J2 of EGM.
 """
@@ -30,20 +30,22 @@ WGS84_RATE_radps = 7.292115e-5
 MEAN_RADIUS_m = 6371007.1809  # sphere of equal surface area (authalic)
 STANDARD_GRAVITY_mps2 = 9.80665
 
-_NOWHERE_m = 1e-100  # a point nearer to the axis or the centre counts as on it, because the squares underflow
+_NOWHERE_m = 1e-100  # a point this close to the axis or the centre is treated as on it, because the squares underflow
 
 
 @dataclass(frozen=True)
 class Earth:
     """The parameter record of the Earth, made with `wgs84`, `sphere` or `flat`.
 
-    `gravity`: UNIFORM is `uniform_mps2` along +z (flat) or towards the centre (round). INVERSE_SQUARE and J2 are the
-    gravitation of `mu_m3ps2` (no centrifugal part). ALONG_BODY, used by no scenario, is `uniform_mps2` aft along the
-    vehicle's axis (design/certificate/held_flight.py). `gravity_radius_m` is the reference radius of `j2`. Raises
-    ValueError for an invalid combination.
+    - `gravity`: UNIFORM is `uniform_mps2` along +z (flat) or towards the centre (round). INVERSE_SQUARE and J2 are the
+      gravitation of `mu_m3ps2`, without a centrifugal part. ALONG_BODY is `uniform_mps2` aft along the vehicle's axis.
+      It is only set in packed records (design/certificate/held_flight.py).
+    - `gravity_radius_m`: reference radius of `j2`.
+
+    Raises ValueError for an invalid combination.
     """
 
-    figure: int = ELLIPSOID  # not "shape": on an uncompiled np.record that is the shape of an array
+    figure: int = ELLIPSOID  # not "shape": on an uncompiled np.record, that is the shape of an array
     equatorial_radius_m: float = WGS84_RADIUS_m
     flattening: float = WGS84_FLATTENING
     rate_radps: float = WGS84_RATE_radps  # rotation of E relative to I about z; 0: not rotating
@@ -76,18 +78,18 @@ def wgs84(**replaced: Any) -> Earth:
 
 
 def sphere(**replaced: Any) -> Earth:
-    """Return a rotating sphere with inverse-square gravitation (NESC cases 4, 5)."""
+    """Return a rotating sphere with inverse-square gravitation (NESC cases 4, 5); `replaced` are fields of `Earth`."""
     default = {"equatorial_radius_m": MEAN_RADIUS_m, "flattening": 0.0, "gravity": INVERSE_SQUARE}
     return Earth(SPHERE, **(default | replaced))
 
 
 def flat(**replaced: Any) -> Earth:
-    """Return a flat Earth at rest: I = E = NED at the site, altitude = -z."""
+    """Return a flat Earth at rest: I = E = NED at the site, altitude = -z; `replaced` are fields of `Earth`."""
     return Earth(FLAT, **({"flattening": 0.0, "rate_radps": 0.0, "gravity": UNIFORM} | replaced))
 
 
 def geocentric_rad(latitude_deg: float, flattening: float = WGS84_FLATTENING) -> float:
-    """Return the geocentric latitude of a place on the ellipsoid with this geodetic latitude."""
+    """Return the geocentric latitude (rad) of a point on the ellipsoid with this geodetic latitude."""
     return math.atan((1.0 - flattening) ** 2 * math.tan(math.radians(latitude_deg)))
 
 
@@ -120,12 +122,12 @@ def gravitation(earth: Earth, x: float, y: float, z: float) -> Vector:
 
 @kernel
 def gravity_gradient_torque(earth: Earth, r_B: Vector, inertia: Symmetric) -> Vector:
-    """Return the torque [N m] of the gravity gradient about the centre of mass, in B: 3 mu / r^5 (r x J r).
+    """Return the gravity-gradient torque [N m] about the centre of mass, in B: 3 mu / r^5 (r x J r).
 
     `r_B` [m]: position of the centre of mass relative to the Earth's centre, in B. `inertia` [kg m2]: elements (J_xx,
-    J_yy, J_zz, J_xy, J_xz, J_yz) of the tensor about the centre of mass, so J_xy = -integral(x y dm). Only the
-    spherical part of the field is included (J2's gradient is a thousandth of it). The torque is zero in a uniform field
-    and without gravity. Source: Hughes, Spacecraft Attitude Dynamics, sec. 8.1.
+    J_yy, J_zz, J_xy, J_xz, J_yz) of the tensor about the centre of mass, so that J_xy = -integral(x y dm). Only the
+    spherical part of the field is included; the gradient of J2 is a thousandth of it. The torque is zero in a uniform
+    field and without gravity. Source: Hughes, Spacecraft Attitude Dynamics, sec. 8.1.
     """
     if earth.gravity not in (INVERSE_SQUARE, J2):
         return 0.0, 0.0, 0.0
@@ -147,12 +149,12 @@ def local_frame(earth: Earth, x: float, y: float, z: float) -> tuple[float, floa
     meridian, and `ned_axes`, `ned_to_earth`, `earth_to_ned` then use the NED axes in I.
 
     Method: one pass of Bowring's formula (Survey Review 28, 1985), started from his corrected parametric latitude. Then
-    h = p cos + z sin - a sqrt(1 - e^2 sin^2), in which an error of the latitude enters squared. From -10 km up the
+    h = p cos + z sin - a sqrt(1 - e^2 sin^2), in which an error of the latitude enters squared. From -10 km up, the
     altitude is exact to rounding (2.5e-9 m up to 1000 km, 2e-8 m at 40 000 km) and the latitude to 2.5e-13 rad.
 
     On the polar axis the longitude is 0. Within 8 e^2 a = 340 km of the centre the geodetic normal is not unique, so
-    latitude and altitude are geocentric there. On a flat Earth the altitude is -z and the four numbers are (-1, 0, 0,
-    1), which make the NED axes the identity.
+    that latitude and altitude are geocentric there. On a flat Earth the altitude is -z and the four numbers are (-1, 0,
+    0, 1), which make the NED axes the identity.
     """
     if earth.figure == FLAT:
         return -z, -1.0, 0.0, 0.0, 1.0
@@ -179,10 +181,10 @@ def local_frame(earth: Earth, x: float, y: float, z: float) -> tuple[float, floa
 
 @kernel
 def _bowring(ratio: float, e2a: float, p: float, z: float, s: float, c: float) -> tuple[float, float]:
-    """Return sine and cosine of the geodetic latitude from (s, c) along those of the parametric latitude.
+    """Return sine and cosine of the geodetic latitude, given (s, c) proportional to those of the parametric latitude.
 
-    `ratio` b/a, `e2a` e^2 a [m], `p` distance from the axis [m]. Numerator and denominator of Bowring's
-    tan(latitude) are both multiplied by b/a, which saves a division.
+    `ratio` b/a, `e2a` e^2 a [m], `p` distance from the axis [m]. Numerator and denominator of Bowring's tan(latitude)
+    are both multiplied by b/a, which avoids a division.
     """
     inv = 1.0 / math.sqrt(s * s + c * c)
     s, c = s * inv, c * inv
@@ -196,8 +198,8 @@ def geodetic(earth: Earth, x: float, y: float, z: float) -> Vector:
     """Return (latitude [rad], longitude [rad] in -pi..pi, altitude [m]) of the Earth-fixed position (x, y, z) [m].
 
     A second pass of Bowring's formula makes the latitude exact to rounding (3e-16 rad) from -10 km up. Poles, axis and
-    centre are treated as in `local_frame`. On a flat Earth the result is (0, 0, -z). Use this function for logs and
-    set-up, and `local_frame` in the hot path.
+    centre are treated as in `local_frame`. On a flat Earth the result is (0, 0, -z). This function is for logs and
+    set-up; `local_frame` is faster.
     """
     if earth.figure == FLAT:
         return 0.0, 0.0, -z
@@ -233,7 +235,7 @@ def earth_position(earth: Earth, latitude_rad: float, longitude_rad: float, alti
 def ned_axes(sin_lat: float, cos_lat: float, sin_lon: float, cos_lon: float) -> Matrix:
     """Return the unit vectors north, east, down (three numbers each) in E.
 
-    They are in I for the output of `local_frame` in I. Read as rows they are the rotation matrix from E to N.
+    They are in I for the output of `local_frame` in I. As rows, they are the rotation matrix from E to N.
     """
     return (
         -sin_lat * cos_lon,
@@ -268,7 +270,7 @@ def earth_to_ned(
 
 @kernel
 def earth_rotation(earth: Earth, time_s: float) -> tuple[float, float]:
-    """Return (cos, sin) of the angle by which E has turned about z relative to I at `time_s` after E = I."""
+    """Return (cos, sin) of the angle by which E has rotated about z relative to I at `time_s` after E = I."""
     if earth.rate_radps == 0.0:
         return 1.0, 0.0
     angle = earth.rate_radps * time_s
@@ -277,7 +279,7 @@ def earth_rotation(earth: Earth, time_s: float) -> tuple[float, float]:
 
 @kernel
 def inertial_to_earth(cos: float, sin: float, x: float, y: float, z: float) -> Vector:
-    """Return the components in E of a vector (x, y, z) in I; (cos, sin) from `earth_rotation`."""
+    """Return the components in E of a vector (x, y, z) in I; (cos, sin) is from `earth_rotation`."""
     return cos * x + sin * y, cos * y - sin * x, z
 
 
@@ -285,6 +287,6 @@ def inertial_to_earth(cos: float, sin: float, x: float, y: float, z: float) -> V
 def ground_velocity(earth: Earth, x: float, y: float) -> Vector:
     """Return the velocity relative to I [m/s] of the Earth-fixed point at (x, y, any z) [m].
 
-    Components are in the position's frame.
+    Components are in the frame of the position.
     """
     return -earth.rate_radps * y, earth.rate_radps * x, 0.0

@@ -1,9 +1,9 @@
-"""Turbulence at places behind the nose: the frozen field through which the nose has flown (Taylor's hypothesis).
+"""Turbulence aft of the nose: the frozen field through which the nose has flown (Taylor's hypothesis).
 
-The nose meets the turbulence first. The gust that it met at the travelled distance s - x is now x metres behind it, for
-flight along the body axis, where s is the integral of the airspeed. The history keeps the gusts of the last ticks over
-the vehicle's length. Slow ticks closer together than a sixtieth of this length share a place. Before the first tick the
-field is the first gust everywhere.
+The nose meets the turbulence first. Let s be the integral of the airspeed. For flight along the body axis, the gust met
+at the distance s - x is now x metres aft of the nose. The history contains the gusts of the last ticks over the
+vehicle's length. Ticks closer together than a sixtieth of this length share an entry. Before the first tick the field
+is the first gust everywhere.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ _LONG_AGO_m = -1e30
 class GustHistory:
     """The state record of the gust history.
 
-    `before_m`, `now_m`: travelled distance at the last tick but one and at the last tick.
+    - `before_m`, `now_m`: travelled distance at the last tick but one and at the last tick.
+    - `place_m`, `gust_mps`: ring buffer of travelled distances and gusts.
     """
 
-    last: int  # newest place in the ring: the last tick but one
+    last: int  # newest entry of the ring buffer: the last tick but one
     before_m: float
     now_m: float
     place_m: Annotated[Array, (N_PLACES,)]
@@ -46,7 +47,7 @@ def history_start(history: GustHistory, gusts: TurbulenceState) -> None:
 
 @routine
 def history_tick(history: GustHistory, gusts: TurbulenceState, way_m: float, reach_m: float) -> None:
-    """Advance the history after a `turbulence_tick` over `way_m`; it reaches `reach_m` back."""
+    """Advance the history after a `turbulence_tick` over `way_m` of travel; it covers `reach_m` aft of the nose."""
     previous = (history.last + N_PLACES - 1) % N_PLACES
     if history.place_m[history.last] - history.place_m[previous] >= reach_m / (N_PLACES - 4):
         history.last = (history.last + 1) % N_PLACES
@@ -61,7 +62,7 @@ def history_tick(history: GustHistory, gusts: TurbulenceState, way_m: float, rea
 def gust_behind(
     history: GustHistory, gusts: TurbulenceState, fraction: float, behind_m: float
 ) -> tuple[float, float, float]:
-    """Return the gust of `turbulence_at` at `behind_m` >= 0 metres behind the nose."""
+    """Return the gust of `turbulence_at` at `behind_m` >= 0 metres aft of the nose, m/s."""
     target = history.before_m + fraction * (history.now_m - history.before_m) - behind_m
     if target >= history.before_m:
         return turbulence_at(gusts, fraction - behind_m / max(history.now_m - history.before_m, 1e-12))

@@ -1,8 +1,8 @@
 """US Standard Atmosphere 1976 from 86 to 1000 km: the equations that the standard integrates there.
 
-Source: NOAA-S/T 76-1562 (NASA TM-X-74335), part 1, section 1.2.4 and 1.3, with its constants (tables 3 to 8). From the
-number densities at 86 km each species follows its own balance of gravity, molecular diffusion against eddies, thermal
-diffusion and vertical transport. Atomic hydrogen, which escapes, is integrated from 500 km both ways:
+Source: NOAA-S/T 76-1562 (NASA TM-X-74335), part 1, sections 1.2.4 and 1.3, with its constants (tables 3 to 8). From the
+number densities at 86 km, each species follows its own balance of gravity, molecular and eddy diffusion, thermal
+diffusion and vertical transport. Atomic hydrogen, which escapes, is integrated from 500 km in both directions:
 
     n_i = n_i,7 (T_7 / T) exp(-integral of (f + v_i / (D_i + K)) dz)                              (equations 31 to 38)
     f   = g / (R* T) (D_i M_i + K M + alpha_i D_i R* T' / g) / (D_i + K),    D_i = a_i / N (T / 273.15)^b_i
@@ -22,9 +22,9 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Cubics, hermite
 
-BOTTOM_m, TOP_m = 86e3, 1000e3  # geometric
-_STEP_m = 50.0  # step of the midpoint rule: relative error 2e-6 of density
-_KINKS_m = (100e3, 150e3)  # M changes its definition; hydrogen begins
+BOTTOM_m, TOP_m = 86e3, 1000e3  # geometric altitude
+_STEP_m = 50.0  # step of the midpoint rule; relative error of density 2e-6
+_KINKS_m = (100e3, 150e3)  # altitudes at which the definition of M changes, and at which hydrogen begins
 _NODES_m = np.setdiff1d(
     np.concatenate(
         [np.arange(86e3, 125e3, 500.0), np.arange(125e3, 200e3, 2.5e3), np.arange(200e3, 1001e3, 10e3)]
@@ -40,9 +40,13 @@ _HYDROGEN_500_pm3, _HYDROGEN_FLUX, _HYDROGEN_FROM_m, _HYDROGEN_AT_m = 8.0e10, 7.
 
 
 class _Species(NamedTuple):
-    """A species of the air.
+    """The constants of a species of the air.
 
-    Molar mass, kg/kmol; number density at 86 km, 1/m3; thermal diffusion; a, b of D_i; Q, U, W of the flux (km).
+    - `mass`: molar mass, kg/kmol.
+    - `number`: number density at 86 km, 1/m3.
+    - `alpha`: thermal diffusion coefficient.
+    - `a`, `b`: coefficients of D_i.
+    - `q`, `u`, `w`: coefficients Q, U, W of the flux (km).
     """
 
     mass: float
@@ -61,7 +65,7 @@ _O2 = _Species(31.9988, 3.030898e19, 0.0, 4.863e20, 0.750, 1.366212e-4, 86.0, 8.
 _AR = _Species(39.948, 1.351400e18, 0.0, 4.487e20, 0.870, 9.434079e-5, 86.0, 8.333333e-5)
 _HE = _Species(4.0026, 7.5817e14, -0.40, 1.700e21, 0.691, -2.457369e-4, 86.0, 6.666667e-4)
 _H = _Species(1.00797, 0.0, -0.25, 3.305e21, 0.500)
-_O_BELOW_97_km = -3.416248e-3, 97.0, 5.008765e-4  # q, u, w: the flux of O changes its form
+_O_BELOW_97_km = -3.416248e-3, 97.0, 5.008765e-4  # q, u, w of the additional flux of O below 97 km
 
 
 def temperature(z_m: Array) -> tuple[Array, Array]:
@@ -81,7 +85,7 @@ def temperature(z_m: Array) -> tuple[Array, Array]:
 
 
 def _eddies(z_m: Array) -> Array:
-    """Return the eddy diffusion, m2/s: constant to 95 km, falling to 115 km, zero above (equation 7)."""
+    """Return the eddy diffusion, m2/s: constant to 95 km, decreasing to 115 km, zero above (equation 7)."""
     x = np.clip((z_m - 95e3) / 20e3, 0.0, 1.0 - 1e-9)
     return 120.0 * np.exp(1.0 - 1.0 / (1.0 - x * x))
 
@@ -98,7 +102,10 @@ def _flux(s: _Species, z_m: Array) -> Array:
 
 
 def number_densities(z_m: Array) -> tuple[list[Array], list[_Species]]:
-    """Return 1/m3 of N2, O, O2, Ar, He, H at altitudes that increase from 86 km in equal steps."""
+    """Return the number densities, 1/m3, of N2, O, O2, Ar, He and H, and these species.
+
+    `z_m` must increase from 86 km in equal steps.
+    """
     step, middle = z_m[1] - z_m[0], 0.5 * (z_m[1:] + z_m[:-1])
     edge_K, (t, slope) = temperature(z_m)[0], temperature(middle)
     scale = _G0 * (_R0_m / (_R0_m + middle)) ** 2 / (_GAS_CONSTANT * t)  # g / (R* T)

@@ -1,34 +1,33 @@
 """Continuous turbulence by the Dryden and von Karman models, or by a spectrum over altitude.
 
-Source: MIL-F-8785C (1980), section 3.7. The vehicle flies through a frozen field of gusts whose spectra over the
-circular frequency w, one-sided, are in the Dryden model
+Source: MIL-F-8785C (1980), section 3.7. The vehicle flies through a frozen field of gusts. In the Dryden model, their
+one-sided spectra over the circular frequency w are
 
     longitudinal     S_u = sigma^2 2 L / (pi V) / (1 + (L w / V)^2)
     lateral, normal  S_v = sigma^2 L / (pi V) (1 + 3 (L w / V)^2) / (1 + (L w / V)^2)^2
 
-with airspeed V, intensity sigma and scale length L. They are scaled white noise through 1/(1 + p) and (1 + sqrt(3)
-p)/(1 + p)^2, p the Laplace variable of the dimensionless time theta = V t / L. In theta the filters have constant
+with airspeed V, intensity sigma and scale length L. They are scaled white noise through 1/(1 + p) and (1 + sqrt(3) p)/
+(1 + p)^2, p the Laplace variable of the dimensionless time theta = V t / L. In theta the filters have constant
 coefficients and an output of unit variance. Hence airspeed, scale length and intensity may vary over the flight, and
-each tick is an exact discretisation for any length of the tick. With V -> 0 the gust is constant.
+each tick is an exact discretisation for any length of the tick. For V -> 0 the gust is constant.
 
 The von Karman spectra, with x = 1.339 L w / V,
 
     S_u = sigma^2 2 L / (pi V) (1 + x^2)^(-5/6),   S_v = sigma^2 L / (pi V) (1 + 8/3 x^2) (1 + x^2)^(-11/6)
 
 are sums of Dryden fields of several scale lengths. (1 + x^2)^(-5/6) is a Stieltjes function of x^2, and hence a mixture
-of 1 / (k^2 + x^2) with positive weights. In both models the lateral spectrum follows from the longitudinal one by S_v =
-(S_u - w dS_u/dw) / 2. Six lengths approximate both spectra within 0.8 % up to x = 1500 (VON_KARMAN).
+of 1 / (k^2 + x^2) with positive weights. In both models the lateral spectrum follows from the longitudinal spectrum by
+S_v = (S_u - w dS_u/dw) / 2. Six lengths approximate both spectra within 0.8 % up to x = 1500 (VON_KARMAN).
 
 In the frame BODY the components are along the body axes x (u), y (v), z (w), as for an aircraft that flies in the
-direction of its nose. In the frame HORIZONTAL intensities and lengths refer to the horizon, and spectra to the
-direction of flight e (relative to the air). Three independent components of unit variance, the longitudinal one along
-e, are turned into north, east, down by the shortest rotation from up to e. They are then multiplied by sigma_u,
-sigma_v, sigma_w. The variances are those of the horizon's axes in any attitude. A component's length is that of its
-direction: L_w by the square of its vertical part, L_u or L_v by the rest. A rising vehicle meets the longitudinal
-spectrum vertically and lateral spectra in both horizontal axes, all with the horizon's intensities. At high altitude
-these are equal, and both frames are equivalent except for roll and angle
-of attack. In vertical descent the rotation is not
-defined (half a turn about north is taken).
+direction of its nose. In the frame HORIZONTAL, intensities and lengths refer to the horizon, and spectra to the
+direction of flight e (relative to the air). Three independent components of unit variance, the longitudinal component
+along e, are transformed into north, east, down by the shortest rotation from up to e. They are then multiplied by
+sigma_u, sigma_v, sigma_w. The variances are those of the horizontal axes in any attitude. The length of a component is
+that of its direction: L_w by the square of its vertical part, L_u or L_v by the rest. A rising vehicle meets the
+longitudinal spectrum vertically and lateral spectra in both horizontal axes, all with the intensities of the horizontal
+axes. At high altitude these are equal, and both frames are equivalent except for roll and angle of attack. In vertical
+descent the rotation is not defined, and half a turn about north is used.
 
 A spectrum over altitude is a fixed field of horizontal wind, the sum of SPECTRAL_LINES cosines of altitude with random
 phases. Handbooks (NASA-HDBK-1001) specify the small-scale wind on a rising launch vehicle in this form.
@@ -65,7 +64,7 @@ VON_KARMAN = (
     (0.0035554, 1365.5),
 )
 """The share of the variance, and 1.339 L over the Dryden length: a minimax fit of both spectra, x = 0 .. 1500."""
-_VON_KARMAN_LENGTH = math.gamma(1 / 3) / (math.sqrt(math.pi) * math.gamma(5 / 6))  # 1.339: makes the variance 1
+_VON_KARMAN_LENGTH = math.gamma(1 / 3) / (math.sqrt(math.pi) * math.gamma(5 / 6))  # 1.339, which makes the variance 1
 FOOT_m = 0.3048
 KNOT_mps = 1852.0 / 3600.0
 Exceedance = Literal["light", "moderate", "severe"]
@@ -73,10 +72,11 @@ Exceedance = Literal["light", "moderate", "severe"]
 
 @dataclass(frozen=True)
 class Turbulence:
-    """The parameter record of turbulence. `intensity`: see `intensity_table`. `tick_ns`: period of `turbulence_tick`.
+    """The parameter record of turbulence.
 
     The gust is the sum of `scales` Dryden fields, each with its `amplitude` and a scale length divided by `shorter`. If
-    `lines` is not 0, it is the sum of this number of cosines of altitude instead.
+    `lines` is not 0, it is the sum of this number of cosines of altitude instead. `intensity`: place of an
+    `intensity_table`. `tick_ns`: period of `turbulence_tick`.
     """
 
     on: int = 0
@@ -98,7 +98,9 @@ class Turbulence:
 class TurbulenceState:
     """The state record of turbulence, changed in place.
 
-    It holds the number of ticks, the filter states of u (1), v (2), w (2) of each scale, and the last two gusts.
+    - `ticks`: number of ticks.
+    - `filters`: filter states of u (1), v (2), w (2) of each scale.
+    - `before_mps`, `now_mps`: the last two gusts.
     """
 
     ticks: int
@@ -110,9 +112,9 @@ class TurbulenceState:
 def intensity_table(altitude_m: ArrayLike, sigma_mps: ArrayLike, scale_length_m: ArrayLike) -> Cubics:
     """Return the table for `Turbulence.intensity`, linear in altitude.
 
-    Its columns are sigma_u, sigma_v, sigma_w [m/s], L_u, L_v, L_w [m]. `sigma_mps` and `scale_length_m` are (n, 3) for
-    n altitudes, or anything that broadcasts to this shape: a single number is a constant. L is the length in the
-    spectra above (MIL-HDBK-1797 writes 2 L for L_v and L_w). Outside the altitudes the end values hold. Raises
+    Its columns are sigma_u, sigma_v, sigma_w [m/s], L_u, L_v, L_w [m]. `sigma_mps` and `scale_length_m` have the shape
+    (n, 3) for n altitudes, or broadcast to this shape; a single number is a constant. L is the length in the spectra of
+    this module (MIL-HDBK-1797 writes 2 L for L_v and L_w). The end values apply outside the altitudes. Raises
     ValueError unless sigma >= 0 and L > 0.
     """
     altitude = np.atleast_1d(np.asarray(altitude_m, float))
@@ -124,8 +126,8 @@ def intensity_table(altitude_m: ArrayLike, sigma_mps: ArrayLike, scale_length_m:
     return fit(altitude, np.concatenate([sigma, length], axis=1), "linear")
 
 
-# MIL-F-8785C figure 7, in ft and ft/s as tabulated by JSBSim (FGWinds.cpp): intensity that is exceeded with a
-# probability of 1e-2 (light), 1e-3 (moderate), 1e-5 (severe). Above the last row the last value holds.
+# MIL-F-8785C figure 7, in ft and ft/s as tabulated by JSBSim (FGWinds.cpp): intensities with probabilities of
+# exceedance of 1e-2 (light), 1e-3 (moderate) and 1e-5 (severe). Above the last row the last value applies.
 _FIGURE_7_ft = (2000, 3750, 7500, 15000, 25000, 35000, 45000, 55000, 65000, 75000, 80000)
 _FIGURE_7_ftps = {
     "light": (6.9625, 7.4, 6.7, 4.6, 2.7, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0),
@@ -139,8 +141,8 @@ _WIND_AT_20_FT_kt = {"light": 15.0, "moderate": 30.0, "severe": 45.0}  # figure 
 def exceedance_table(level: Exceedance, ground_altitude_m: float = 0.0) -> Cubics:
     """Return the standard's intensities and scale lengths over altitude, for `Turbulence.intensity`.
 
-    To 1000 ft above the ground (3.7.3, figures 10 and 11, never below 10 ft): sigma_w = 0.1 of the wind at 20 ft, L_w =
-    h, sigma_u = sigma_v = sigma_w / k^0.4, L_u = L_v = h / k^1.2 with k = 0.177 + 0.000823 h/ft. From 2000 ft up
+    Up to 1000 ft above the ground (3.7.3, figures 10 and 11, never below 10 ft): sigma_w = 0.1 of the wind at 20 ft,
+    L_w = h, sigma_u = sigma_v = sigma_w / k^0.4, L_u = L_v = h / k^1.2 with k = 0.177 + 0.000823 h/ft. From 2000 ft up
     (3.7.2, figure 7): all intensities equal, L = 1750 ft. The values are linear in between. `ground_altitude_m` shifts
     the lower part only. Raises KeyError for another level.
     """
@@ -177,10 +179,10 @@ def scale_mixture(mixture: Sequence[tuple[float, float]]) -> dict[str, Any]:
 def spectral_lines(wave_number_pm: Array, density_m3ps2: Array, seed: int) -> dict[str, Any]:
     """Return the fields of `Turbulence` for a power spectrum over the vertical wave number.
 
-    The spectrum is one-sided and that of each horizontal component. `wave_number_pm` (n,): cycles per m, increasing.
-    `density_m3ps2` (n,): (m/s)^2 per (cycle per m). Both are > 0. The logarithms are interpolated between the rows, and
-    the spectrum is zero outside them. The range is divided into as many cells of equal ratio as there are lines. Each
-    line has the variance of its cell, at a random place in the cell, with random phases.
+    The spectrum is one-sided and that of each horizontal component. `wave_number_pm` (n,) is in cycles per m,
+    increasing; `density_m3ps2` (n,) is in (m/s)^2 per (cycle per m). Both are > 0. The logarithms are interpolated
+    between the rows, and the spectrum is zero outside them. The range is divided into cells of equal ratio, one per
+    line. Each line has the variance of its cell, at a random place in the cell, with random phases.
     """
     ends = np.geomspace(wave_number_pm[0], wave_number_pm[-1], SPECTRAL_LINES + 1)
     inside = np.geomspace(ends[:-1], ends[1:], 33)
@@ -215,7 +217,7 @@ def turbulence_start(
         first_state, index = 5 * scale, 3 * scale
         state.filters[first_state] = standard_normal(seed, TURBULENCE_STREAM, index)
         for i in range(2):
-            # the two stages have the covariance [[1/2, 1/4], [1/4, 1/4]]; this is its Cholesky factor
+            # The two stages have the covariance [[1/2, 1/4], [1/4, 1/4]], of which this is the Cholesky factor.
             first, second = standard_normal_pair(seed, TURBULENCE_STREAM, index + 1 + i)
             state.filters[first_state + 1 + 2 * i] = math.sqrt(0.5) * first
             state.filters[first_state + 2 + 2 * i] = math.sqrt(0.125) * (first + second)
@@ -228,9 +230,9 @@ def turbulence_start(
 def turbulence_tick(
     turbulence: Turbulence, pool: Array, state: TurbulenceState, airspeed_mps: float, altitude_m: float, along_N: Vector
 ) -> None:
-    """Advance the gust by one tick at the current airspeed [m/s] and altitude [m]; called every `tick_ns`.
+    """Advance the gust by one tick at the current airspeed [m/s] and altitude [m].
 
-    `along_N` is as for `turbulence_start`.
+    The function must be called every `tick_ns`. `along_N` is that of `turbulence_start`.
     """
     if turbulence.on == 0:
         return
@@ -255,7 +257,7 @@ def _lengths(turbulence: Turbulence, pool: Array, altitude_m: float, along_N: Ve
     w = interpolate(pool, turbulence.intensity, k, altitude_m, 5)
     if turbulence.frame == BODY:
         return u, v, w
-    north, east, down = along_N  # vertical parts of the turned north and east axes are those of e along them
+    north, east, down = along_N  # the vertical parts of the rotated north and east axes are those of e along them
     return u + (w - u) * down * down, v + (w - v) * north * north, v + (w - v) * east * east
 
 
@@ -302,8 +304,7 @@ def second_order_step(theta: float) -> tuple[float, float, float, float]:
     decay = math.exp(-theta)
     q_11 = -0.5 * math.expm1(-2.0 * theta)
     if theta < 0.05:
-        # The closed forms lose theta^3 among numbers of order one; the power series (relative error 1e-9)
-        # does not.
+        # The closed forms lose theta^3 among numbers of order one; the power series (relative error 1e-9) does not.
         u = -2.0 * theta
         q_12 = theta * theta * (1 / 2 + u * (1 / 3 + u * (1 / 8 + u * (1 / 30 + u * (1 / 144 + u / 840)))))
         q_22 = theta**3 * (1 / 3 + u * (1 / 4 + u * (1 / 10 + u * (1 / 36 + u * (1 / 168 + u / 960)))))
@@ -342,10 +343,10 @@ def _set_gust(turbulence: Turbulence, pool: Array, state: TurbulenceState, altit
 
 @kernel
 def turned_from_up(along_N: Vector, vector: Vector) -> Vector:
-    """Return `vector` (north, east, down) turned by the shortest rotation from up to the unit vector `along_N`.
+    """Return `vector` (north, east, down), rotated by the shortest rotation from up to the unit vector `along_N`.
 
-    v + a x v + a x (a x v) / (1 + c) with a = up x e, c = up . e (Rodrigues); from up to down it is half a turn about
-    north.
+    The result is v + a x v + a x (a x v) / (1 + c) with a = up x e, c = up . e (Rodrigues). For e downwards, the
+    rotation is half a turn about north.
     """
     north, east, down = along_N
     if 1.0 - down < 1e-9:

@@ -1,7 +1,4 @@
-"""The motion of the air relative to the Earth over altitude: a profile plus discrete gusts.
-
-Components are in local North-East-Down.
-"""
+"""The motion of the air relative to the Earth over altitude: a profile plus discrete gusts, in North-East-Down."""
 
 from __future__ import annotations
 
@@ -20,9 +17,9 @@ from maxq.control.kernel.tables import NO_TABLE, TableRef, find_interval, interp
 ONE_MINUS_COSINE, SHEAR = 0, 1
 """The kinds of gust layers, which begin at an altitude and have a thickness, m.
 
-ONE_MINUS_COSINE rises over its edge as (1 - cos)/2, holds for thickness - 2 edge, and falls over its edge
-(NASA-HDBK-1001, sec. 2; with 2 edge = thickness the classical 1-cosine). SHEAR rises linearly over its thickness and
-holds at all altitudes above.
+ONE_MINUS_COSINE rises over its edge as (1 - cos)/2, is constant over thickness - 2 edge, and falls over its edge
+(NASA-HDBK-1001, sec. 2; with 2 edge = thickness it is the classical 1-cosine). SHEAR rises linearly over its thickness
+and is constant at all altitudes above.
 """
 
 
@@ -34,8 +31,8 @@ def _gust_values() -> Array:
 class Wind:
     """The parameter record of wind.
 
-    `profile`: columns north, east, down [m/s] over altitude [m], with the end values held outside; no columns is calm.
-    `factor` multiplies only the profile; gusts have a strength of their own.
+    `profile`: columns north, east, down [m/s] over altitude [m], whose end values apply outside; without columns, calm
+    air. `factor` multiplies only the profile, not the gusts.
     """
 
     profile: TableRef = NO_TABLE
@@ -50,12 +47,11 @@ class Wind:
 
 
 def wind_components(speed_mps: ArrayLike, from_deg: ArrayLike) -> Array:
-    """Return columns north, east, down [m/s], (n, 3), of the air's motion.
+    """Return the components north, east, down of the air's motion, (n, 3), in m/s.
 
-    They follow from its speed and the direction from which it blows. `from_deg` is meteorological: clockwise from
-    north, 270 is a westerly, air moving to the east. Interpolate these components, not speed and direction: a direction
-    jumps by 360 degrees at north and is undefined in a calm. The mean of two wind vectors is the wind half-way between
-    them.
+    `speed_mps` (n,) is the wind speed, and `from_deg` (n,) the direction from which the wind blows: clockwise from
+    north, so that 270 is a westerly, air moving to the east. Interpolate these components, not speed and direction: a
+    direction jumps by 360 deg at north and is undefined in calm air.
     """
     speed = np.atleast_1d(np.asarray(speed_mps, float))
     direction = np.deg2rad(np.atleast_1d(np.asarray(from_deg, float)))
@@ -83,7 +79,7 @@ def wind_ned(wind: Wind, pool: Array, altitude_m: float) -> tuple[float, float, 
 
 @kernel
 def _gust_share(kind: int, above: float, thickness: float, edge: float) -> float:
-    """Return the share (0..1) of a gust's full speed at `above` > 0 metres over its lower end."""
+    """Return the share (0..1) of a gust's full speed at `above` > 0 metres above its lower end."""
     if kind == SHEAR:
         return min(above / thickness, 1.0)
     from_end = min(above, thickness - above)  # the shape is the same from both ends

@@ -1,19 +1,22 @@
-"""Thrust-vector actuator of one axis, of order two, four or six, with limits and a hard stop.
+"""The thrust-vector actuator of one axis, of order two, four or six, with limits and a hard stop.
 
     delta / command = H1, H1 H2 or H1 H2 H3,   H_i = w_i^2 / (s^2 + 2 z_i w_i s + w_i^2) for i = 1, 2,
-    H3 = (w_3^2 / w_4^2) (s^2 + 2 z_4 w_4 s + w_4^2) / (s^2 + 2 z_3 w_3 s + w_3^2);
+    H3 = (w_3^2 / w_4^2) (s^2 + 2 z_4 w_4 s + w_4^2) / (s^2 + 2 z_3 w_3 s + w_3^2)
 
-Order six is the paper's (28), with the zero w_4. H1 is the servo: position error -> rate command -> rate. In this loop
-the rate *command* saturates, and hence the rate, without wind-up. In its linear range the loop equals H1. The position
-command is limited before the servo.
+Order six is that of Lee, Ahn & Roh (28), with the zero w_4. H1 is the servo: position error -> rate command -> rate. In
+this loop the rate *command* saturates, and hence the rate, without wind-up. In its linear range the loop equals H1. The
+position command is limited upstream of the servo.
 
 The limits act on the servo or on the engine. If they act on the servo, H2 and H3 follow as linear sections, whose
 resonances may carry the engine past both limits (for example 36 deg/s with a limit of 30). If they act on the engine,
-H2 and H3 precede the servo, whose rate is that of the engine. Linear sections in series may be exchanged, so below the
-limits both are the same actuator. A play follows all sections: the engine rests until the actuator has crossed the
-play, and then takes on its rate. With a TVC load the play is a gap of the load's spring instead. A hard stop limits the
-engine's own angle: the engine rests there, without rate and acceleration, as long as the sections would carry it
-further. States: servo position, servo rate; H2 position, rate; w_3^2-scaled states of H3 and its rate.
+H2 and H3 precede the servo, whose rate is that of the engine. Linear sections in series commute, so that both
+arrangements are equal below the limits.
+
+A play follows all sections: the engine rests until the actuator has crossed the play, and then moves at the actuator's
+rate. With a TVC load, the play is a gap of the load's spring instead. A hard stop limits the angle of the engine: the
+engine rests there, without rate and acceleration, as long as the sections would carry it further.
+
+States: servo position, servo rate; H2 position, rate; w_3^2-scaled states of H3 and its rate.
 """
 
 from __future__ import annotations
@@ -47,7 +50,7 @@ ORDERS = {"second-order": 2, "fourth-order": 4, "sixth-order": 6}
 
 @dataclass(frozen=True)
 class Actuator:
-    """The parameters of one actuator: sections 1, 2, 3 (pole), 4 (zero) up to the order; limits in rad and rad/s."""
+    """The parameters of one actuator: sections 1, 2, 3 (poles) and 4 (zeros) up to its order, and its limits."""
 
     omega_1_radps: float
     omega_2_radps: float
@@ -61,16 +64,16 @@ class Actuator:
     rate_limit_radps: float
     bias_rad: float
     backlash_rad: float
-    ideal: int  # 1: the angle is the command, at rest between commands
+    ideal: int  # 1: the angle equals the command, at rest between commands
     order: int  # 2, 4 or 6
     limits_on_engine: int  # 1: the servo with its limits is the last section
-    stop_rad: float  # hard stop of the engine's own angle
+    stop_rad: float  # hard stop of the engine's angle
 
 
 def pack_actuators(given: ActuatorSection | None, kind: str) -> tuple[Actuator, Actuator]:
     """Return the pitch and yaw actuators of a stage.
 
-    `given`: the stage's section `actuator`, or None. `kind`: the scenario's switch of that name.
+    `given`: section `actuator` of the stage, or None. `kind`: value of the scenario's switch `actuator`.
     """
     bias_deg = given.bias_deg if given else (0.0, 0.0)
     if given is None or kind == "ideal":
@@ -116,9 +119,9 @@ def _pack_axis(given: ActuatorAxis, bias_deg: float, linear: bool) -> Actuator:
 def actuator_output(a: Actuator, y: Array, i: int, command: float, before: float) -> tuple[float, float, float]:
     """Return engine angle, rate and acceleration (rad, rad/s, rad/s2) from the states at y[i:i+6].
 
-    `before`: angle at the start of the step, the memory of the play. It is exact unless the actuator reverses within
-    the step; then the error is less than the motion in one step. There are at least two integrations between command
-    and angle, so that no derivative of the command is needed.
+    `before` is the angle at the start of the step, the memory of the play. It is exact unless the actuator reverses
+    within the step; in that case the error is smaller than the motion in one step. At least two integrations separate
+    command and angle, so that no derivative of the command is needed.
     """
     if a.ideal == 1:
         angle, rate, accel = command, 0.0, 0.0
@@ -149,7 +152,7 @@ def _section_acceleration(omega: float, zeta: float, drive: float, x: float, x_r
 
 @kernel
 def _third_section(a: Actuator, y: Array, i: int, into_second: float) -> tuple[float, float, float]:
-    """Return the output of H3 with two time derivatives, where `into_second` drives the preceding H2."""
+    """Return the output of H3 and its first two time derivatives; `into_second` is the input of the preceding H2."""
     w3, w4 = a.omega_3_radps, a.omega_4_radps
     x, x_rate, z, z_rate = y[i + 2], y[i + 3], y[i + 4], y[i + 5]
     x_accel = _section_acceleration(a.omega_2_radps, a.zeta_2, into_second, x, x_rate)
@@ -163,7 +166,7 @@ def _third_section(a: Actuator, y: Array, i: int, into_second: float) -> tuple[f
 
 @kernel
 def _servo_target(a: Actuator, y: Array, i: int, command: float) -> float:
-    """Return the position commanded to the servo, within its limit."""
+    """Return the position command of the servo, within its limit."""
     if a.limits_on_engine == 1 and a.order == 6:
         command = _third_section(a, y, i, command)[0]
     elif a.limits_on_engine == 1 and a.order == 4:
@@ -184,7 +187,7 @@ def _servo_acceleration(a: Actuator, target: float, angle: float, rate: float) -
 
 @kernel
 def actuator_derivative(a: Actuator, y: Array, i: int, command: float, dy: Array) -> None:
-    """Write the time derivative of the states at y[i:i+6] under a held command (rad)."""
+    """Write the time derivative of the states at y[i:i+6] for a constant command (rad)."""
     if a.ideal == 1:
         for j in range(6):
             dy[i + j] = 0.0
@@ -204,11 +207,11 @@ def actuator_derivative(a: Actuator, y: Array, i: int, command: float, dy: Array
 
 @kernel
 def linear_sections(a: Actuator, out: Array, at: int) -> None:
-    """Write the matrix of the states' derivatives below all limits, row by row into out[at:]: (order, order)."""
+    """Write the system matrix (order, order) of the states below all limits, row by row, into out[at:]."""
     n = a.order
     for i in range(n * n):
         out[at + i] = 0.0
-    drives = (0, 0, 2)  # index of the position that drives each section; none: the command
+    drives = (0, 0, 2)  # index of the position that drives each section; the command drives a section without an index
     for section in range(n >> 1):
         w, zeta = a.omega_1_radps, a.zeta_1
         if section == 1:
@@ -236,7 +239,7 @@ def actuator_motion(
 ) -> tuple[float, float, float]:
     """Return `actuator_output` with the faults of this actuator.
 
-    `channel` is twice its group, plus one in yaw. `command`, `before`: of all channels.
+    `channel` is twice its group, plus one in yaw. `command` and `before` contain all channels.
     """
     if faults[ANY_FAULT] == 0.0:
         return actuator_output(a, y, i, command[channel], before[channel])
@@ -251,7 +254,7 @@ def actuator_motion(
 def actuator_rates(a: Actuator, faults: Array, channel: int, y: Array, i: int, command: float, dy: Array) -> None:
     """Write `actuator_derivative` with the faults of this actuator.
 
-    A stuck servo stays in place, and its rate state decays.
+    A stuck servo keeps its position, and its rate state decays.
     """
     if faults[ANY_FAULT] == 0.0:
         actuator_derivative(a, y, i, command, dy)

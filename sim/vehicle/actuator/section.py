@@ -1,4 +1,4 @@
-"""The actuators of a stage's gimbals, as in the vehicle file."""
+"""The schema of the actuators of a stage's gimbals in the vehicle file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ GimbalAngle = Annotated[float, Field(ge=0.0, le=45.0)]
 
 
 SECTIONS = {"second-order": 1, "fourth-order": 2, "sixth-order": 4}
-"""The numbers of frequencies and damping ratios of each actuator model; the fourth of the sixth order is the zero."""
+"""The number of frequencies and damping ratios of each actuator model; the fourth pair of sixth order is the zero."""
 
 
 class ActuatorAxis(Section):
@@ -60,7 +60,7 @@ class YawActuator(Section):
 
 
 class ActuatorSection(ActuatorAxis):
-    """The actuators of both axes, equal unless `yaw` differs: of all groups of engines, or in a list by group."""
+    """The actuators of both axes, equal unless `yaw` differs; for all groups of engines, or in a list by group."""
 
     group: ChannelPart | None = optional("in a list: name of the group of engines that it moves")
     bias_deg: Pair = optional("constant error of the angle, pitch and yaw, deg", (0.0, 0.0))

@@ -1,10 +1,10 @@
 """Aerodynamic forces and moments by coefficients over Mach number and angle of attack.
 
-They belong to the whole vehicle or to its parts. The coefficients of a table refer to body axes (CX, CY, CZ and Cl, Cm,
-Cn about x, y, z) or to aeroballistic axes. The latter are x, z' in the plane of total angle of attack, on the side to
-which the vehicle moves through the air, and y' across. Lift and drag (-CZ and -CX) are turned by the angle of attack in
-that plane. The loads of all tables are summed, each with the flow at its own station. Derivatives by the body rates are
-in body axes (docs/model.md, section 6).
+The coefficients belong to the whole vehicle or to its parts. Those of a table refer to body axes (CX, CY, CZ and Cl,
+Cm, Cn about x, y, z) or to aeroballistic axes. The latter are x, z' in the plane of total angle of attack, on the side
+to which the vehicle moves through the air, and y' perpendicular to the plane. Lift and drag (-CZ and -CX) are rotated
+by the angle of attack in that plane. The loads of all tables are summed, each with the flow at its own station.
+Derivatives with respect to the body rates are in body axes (docs/model.md, section 6).
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from maxq.control.kernel.vectors import Vector
 NO_AXIS, MACH_AXIS, TOTAL, ROLL, ALPHA, BETA = range(6)  # variables of a grid
 BODY_AXES, AEROBALLISTIC = 0, 1
 ALWAYS, POWER_ON, POWER_OFF = range(3)
-# Roles of the columns of a table. Forces and moments first, then derivatives by p span / 2V, q chord / 2V and
-# r yaw chord / 2V.
+# Roles of the columns of a table: forces and moments first, then derivatives with respect to p span / 2V, q chord / 2V
+# and r yaw chord / 2V.
 ROLES = ("CX", "CY", "CZ", "Cl", "Cm", "Cn", "Clp", "Clr", "Cmq", "Cnr", "Cnp", "CYp", "CYr", "CNq")
 CX, CY, CZ, CL, CM, CN, CLP, CLR, CMQ, CNR, CNP, CYP, CYR, CNQ = range(len(ROLES))
 N_ROLES = len(ROLES)
@@ -39,21 +39,21 @@ class IncidenceTables:
     axes: Annotated[IntArray, (MAX_SURFACES,)]  # BODY_AXES, AEROBALLISTIC
     along_wind: Annotated[IntArray, (MAX_SURFACES,)]  # 1: CX and CZ are minus drag and minus lift
     power: Annotated[IntArray, (MAX_SURFACES,)]
-    first_roll_rad: Annotated[Array, (MAX_SURFACES,)]  # start of the roll angle's circle
-    any_rates: Annotated[IntArray, (MAX_SURFACES,)]  # 1: has derivatives by the body rates
+    first_roll_rad: Annotated[Array, (MAX_SURFACES,)]  # start of the range of the roll angle
+    any_rates: Annotated[IntArray, (MAX_SURFACES,)]  # 1: the table has derivatives with respect to the body rates
 
 
 @dataclass
 class IncidenceWork:
     """The coefficients of a table in one evaluation of the derivative."""
 
-    grid_row: Annotated[Array, (N_ROLES,)]  # by its columns
-    coefficient: Annotated[Array, (N_ROLES,)]  # by their roles
+    grid_row: Annotated[Array, (N_ROLES,)]  # in the order of the columns
+    coefficient: Annotated[Array, (N_ROLES,)]  # in the order of the roles
 
 
 @kernel
 def _angle(kind: int, mach: float, flow: Vector, lateral: float, first_roll: float) -> float:
-    """Return the variable of a grid, rad; `lateral` is the speed across the axis."""
+    """Return a variable of a grid, Mach number or angle in rad; `lateral` is the speed perpendicular to the axis."""
     u, v, w = flow
     if kind == MACH_AXIS:
         return mach
@@ -73,7 +73,7 @@ def _angle(kind: int, mach: float, flow: Vector, lateral: float, first_roll: flo
 def table_coefficients(
     tables: IncidenceTables, pool: Array, j: int, mach: float, flow: Vector, work: IncidenceWork
 ) -> None:
-    """Write the coefficients of table `j` in the local flow (B, m/s) to `work`, and zero for missing ones."""
+    """Write the coefficients of table `j` in the local flow (B, m/s) to `work`, with zeros for missing coefficients."""
     lateral = math.sqrt(flow[1] * flow[1] + flow[2] * flow[2])
     first_roll = float(tables.first_roll_rad[j])
     interpolate_grid(
@@ -102,15 +102,16 @@ def static_loads(
     force_factor: float,
     work: IncidenceWork,
 ) -> tuple[Vector, Vector, Vector]:
-    """Return, from `work` and per dynamic pressure and area, axial force (B), lateral force (B) and moment (B, m).
+    """Return axial force, lateral force (B) and moment (B, m) per dynamic pressure and area, from `work`.
 
-    `lengths`: reference lengths of roll, pitch and yaw moment, m. In wind axes the axial force includes drag and lift.
+    `lengths`: reference lengths of roll, pitch and yaw moment, m. In wind axes, the axial force includes the axial
+    components of drag and lift.
     """
     (u, v, w), c = flow, work.coefficient
     lateral, across_y, across_z = 0.0, 0.0, 1.0  # unit vector of z'
     if tables.axes[j] == AEROBALLISTIC:
         lateral = math.sqrt(v * v + w * w)
-        across_z = 0.0  # along the axis all terms that depend on the plane are zero
+        across_z = 0.0  # along the axis, all terms that depend on the plane are zero
         if lateral > 0.0:
             across_y, across_z = v / lateral, w / lateral
     x = axial_factor * c[CX]
@@ -134,9 +135,9 @@ def static_loads(
 
 @routine
 def rate_loads(rate: Vector, lengths: Vector, work: IncidenceWork) -> tuple[Vector, Vector]:
-    """Return the lateral force (B, m2/s) and the moment (B, m3/s) due to body rates, from `work`.
+    """Return the lateral force (B, m2/s) and the moment (B, m3/s) due to the body rates, from `work`.
 
-    Both are per air density times speed times area over four.
+    The loads are these results times air density, speed and reference area, divided by four.
     """
     p, q, r = lengths[0] * rate[0], lengths[1] * rate[1], lengths[2] * rate[2]
     c = work.coefficient

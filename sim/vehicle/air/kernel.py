@@ -2,10 +2,10 @@
 
 The velocity relative to the air is (U, V, W) in B, and all forces have the factor rho S / 2. The normal force of a
 lifting surface is -CN_alpha |U| W_k, the cross-flow drag is -C_c |(V, W)| W, and the axial force is -CA U |U|. For
-small angles of attack these are q S CN_alpha alpha and q S CA. At 90 degrees only the cross-flow remains, and no term
-is undefined at rest (docs/model.md, section 6). W_k is the local cross flow: bending turns the surface (slope) and
-moves it (rate). Tables over Mach number and angle of attack may be used in addition to the slopes or instead of them
-(`incidence.py`).
+small angles of attack these are q S CN_alpha alpha and q S CA. At 90 deg only the cross-flow drag remains, and no term
+is undefined at rest (docs/model.md, section 6). W_k is the local lateral velocity, which includes the slope and the
+rate of bending at the surface. Tables over Mach number and angle of attack may be used in addition to the slopes or
+instead of them (`incidence.py`).
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from maxq.sim.vehicle.environment import CROSSFLOW_PART, AirData, PartWinds
 from maxq.sim.vehicle.modes.planar import Modes, add_to_modes, modal_sum, of_plane
 from maxq.sim.vehicle.modes.spatial import apply_spatial_load, outer_spatial_load, spatial_motion
 
-# Columns of the Mach table; CD is the drag along the relative wind at any attitude. From FIRST_SURFACE on, per
-# surface, CN_alpha and CN_alpha times its station. From `Aero.off_axis` on, CA of the boosters times y and z of their
-# axes.
+# Columns of the Mach table. CD is the drag along the relative wind at any attitude. From FIRST_SURFACE on, each surface
+# has CN_alpha and CN_alpha times its station. From `Aero.off_axis` on, the columns are CA of the boosters times y and z
+# of their axes.
 CA, CA_COAST, CD, CMQ, CNR, CLP, CROSSFLOW, CM0, FIRST_SURFACE = range(9)
 
 FIXED, OVER_TIME, OVER_MASS = range(3)  # motion of the moment reference
@@ -47,26 +47,26 @@ class Aero:
     on: int
     table: TableRef
     area_m2: float
-    chord_m: float  # pitch moment and damping
+    chord_m: float  # for pitch moment and damping
     yaw_chord_m: float
-    span_m: float  # roll moment and damping
+    span_m: float  # for roll moment and damping
     crossflow_station_m: float
-    earth_rates: int  # 1: damping acts on rates relative to the Earth, 0: on inertial ones
+    earth_rates: int  # 1: damping acts on rates relative to the Earth, 0: on inertial rates
     local_incidence: int  # 1: bending changes the angle of attack of the surfaces
-    penetration: int  # 1: each part has the wind at its own place
-    force_factor: float  # on CN_alpha and cross-flow
-    axial_factor: float  # on CA and CD
+    penetration: int  # 1: each part has the wind at its own position
+    force_factor: float  # of CN_alpha and cross-flow drag
+    axial_factor: float  # of CA and CD
     damping_factor: float
-    centre_shift_m: float  # moves every surface aft
-    airspeed_floor_mps: float  # no aerodynamic force below it
+    centre_shift_m: float  # shift of every surface aft
+    airspeed_floor_mps: float  # below it, there is no aerodynamic force
     tables: IncidenceTables
     station_m: Annotated[Array, (MAX_SURFACES + 1,)]  # station of each surface and table for modes and wind
-    place_y_m: Annotated[Array, (MAX_SURFACES + 1,)]  # of each surface from the body axis
+    place_y_m: Annotated[Array, (MAX_SURFACES + 1,)]  # position of each surface relative to the body axis
     place_z_m: Annotated[Array, (MAX_SURFACES + 1,)]
-    off_axis: int  # column of the Mach table for axial forces off the body axis, or -1
-    reference: TableRef  # station about which moments of tables, and of the slopes of `remainder`, are given
+    off_axis: int  # column of the Mach table with axial forces off the body axis, or -1
+    reference: TableRef  # station to which the moments of tables, and of the slopes of `remainder`, refer
     reference_moves: int  # FIXED, OVER_TIME, OVER_MASS
-    remainder: int  # the surface whose moment uses a moving reference, or -1
+    remainder: int  # surface whose moment uses a moving reference, or -1
 
 
 @dataclass
@@ -81,7 +81,7 @@ class SurfaceLoad:
 
 @dataclass
 class AeroWork:
-    """The aerodynamics in one evaluation of the derivative."""
+    """The memory of the aerodynamics in one evaluation of the derivative."""
 
     mach_row: Annotated[Array, (FIRST_SURFACE + 2 * (MAX_SURFACES + 2),)]  # columns of the Mach table
     surface: Annotated[tuple[SurfaceLoad, ...], (MAX_SURFACES + 1,)]
@@ -96,14 +96,14 @@ def put_surface(kept: SurfaceLoad, force_y_N: float, force_z_N: float, slope: fl
 
 @kernel
 def air_acts(aero: Aero, air: AirData) -> bool:
-    """Return True if there are aerodynamic forces: in the atmosphere, above the floor of the airspeed."""
+    """Return True if aerodynamic forces act: in the atmosphere, at or above the airspeed floor."""
     acts: bool = aero.on == 1 and air.density_kgpm3 > 0.0 and air.airspeed_mps >= aero.airspeed_floor_mps
     return acts
 
 
 @kernel
 def moment_reference(aero: Aero, sizes: Counts, pool: Array, clock_s: float, properties: Array) -> None:
-    """Write the station of the moment reference at this instant to the derived properties."""
+    """Write the station of the moment reference at this instant to the derived properties, if it is used."""
     if sizes.tables > 0 or aero.reference_moves != FIXED:
         x = properties[sch.TOTAL_MASS] if aero.reference_moves == OVER_MASS else clock_s
         properties[sch.schedule_width(sizes) + sch.MOMENT_REFERENCE] = look_up(pool, aero.reference, x, 0)
@@ -141,7 +141,7 @@ def body_loads(
     mz = damping * aero.yaw_chord_m * aero.yaw_chord_m * row[CNR] * rate[2]
     my += half * speed * speed * aero.chord_m * row[CM0] - arm * fz_cross
     mz += arm * fy_cross
-    # the aerodynamic axis is the body axis, which misses an offset CG
+    # The aerodynamic axis is the body axis, which does not pass through an offset CG.
     mx += -cg[1] * fz_cross + cg[2] * fy_cross
     my += -cg[2] * fx
     mz += cg[1] * fx
@@ -156,9 +156,9 @@ def body_loads(
 def surface_loads(
     aero: Aero, sizes: Counts, density: float, flow: Vector, properties: Array, modes: Modes, work: AeroWork
 ) -> tuple[Vector, Vector]:
-    """Return the normal force of the lifting surfaces at their local angles of attack.
+    """Return force and moment (about the core CG, B) of the lifting surfaces at their local angles of attack.
 
-    It is added to the modes' generalised forces.
+    The forces are also added to the generalised forces of the modes.
     """
     whole, row = 0.5 * density * aero.area_m2 * aero.force_factor, bare_pointer(work.mach_row)
     x_cg, y_cg, z_cg = properties[sch.CORE_CG], properties[sch.CORE_CG + 1], properties[sch.CORE_CG + 2]
@@ -225,9 +225,9 @@ def table_loads(
     modes: Modes,
     work: AeroWork,
 ) -> tuple[Vector, Vector]:
-    """Return force and moment of the tables over angle of attack about the core CG in B.
+    """Return force and moment about the core CG in B of the tables over angle of attack.
 
-    They are added to the modes' generalised forces.
+    The loads are also added to the generalised forces of the modes.
     """
     lengths = (aero.span_m, aero.chord_m, aero.yaw_chord_m)
     reference_m = properties[sch.schedule_width(sizes) + sch.MOMENT_REFERENCE]
@@ -260,7 +260,7 @@ def table_loads(
             moment = add(couple, add(cross(arm, axial), cross((arm[0] - aero.centre_shift_m, arm[1], arm[2]), lateral)))
             total_force = add(total_force, add(axial, lateral))
             total_moment = add(total_moment, moment)
-            # load on the modes: the force at the table's station, and the moment about it
+            # The load on the modes is the force at the table's station, and the moment about that station.
             forward = aero.station_m[s] - reference_m - aero.centre_shift_m
             put_surface(kept, lateral[1], lateral[2], 1.0, aero.station_m[s])
             couple_y, couple_z = couple[1] - forward * lateral[2], couple[2] + forward * lateral[1]

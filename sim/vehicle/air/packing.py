@@ -1,4 +1,4 @@
-"""The aerodynamics of a stage as the record that the derivative reads."""
+"""The parameter record of a stage's aerodynamics from its section in the vehicle file."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ _AXES = {
 }
 _ROLE_OF = {name: (role, 1.0) for role, name in enumerate(ROLES)} | {
     "CA": (incidence.CX, -1.0), "CN": (incidence.CZ, -1.0), "CD": (incidence.CX, -1.0), "CL": (incidence.CZ, -1.0),
-}  # fmt: skip  # a table: which coefficient a column is, and with which sign
+}  # fmt: skip  # a table: role and sign of each column
 _EXTENSIONS: dict[str, Extension] = {"total_deg": "mirror", "roll_deg": "periodic"}
 _ACROSS = (incidence.CY, incidence.CZ, incidence.CM, incidence.CN)
 
 
 def pack_aero(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) -> Aero:
-    """Return the stage's aerodynamics under the scenario's switches, and add its tables to `pool`."""
+    """Return the stage's aerodynamics with the scenario's switches, and add its tables to `pool`."""
     reference: Reference = scenario.vehicle.reference
-    aero = stage.aero or schema.AeroSection.model_construct()  # its defaults, without a table
+    aero = stage.aero or schema.AeroSection.model_construct()  # the defaults, without a table
     on = stage.aero is not None and scenario.switches.aerodynamics
     lifting, increments = _boosters(stage)
     moves, table = aero.moment_reference
@@ -116,10 +116,7 @@ def _incidence_tables(aero: schema.AeroSection, pool: Pool) -> IncidenceTables:
 
 @cached_by_identity
 def _fitted(table: CsvTable, aeroballistic: bool, method: str) -> tuple[Grid, tuple[str, ...]]:
-    """Return the columns of `sim/vehicle/air/incidence.py` over the variables of a table, and the column names.
-
-    Angles are in rad.
-    """
+    """Return the grid of a table for `incidence.py`, with angles in rad, and the names of its columns."""
     given = grid_table(table)
     missing = 3 - len(given.axes)
     breaks = [b if name == "mach" else np.radians(b) for name, b in zip(given.axes, given.breaks, strict=True)]
@@ -148,7 +145,7 @@ def _mach_table(
 ) -> Cubics:
     """Return the columns of vehicle/air/kernel.py over Mach number.
 
-    `boosters`: table of increments and position of each booster that has one.
+    `boosters`: table of increments and position (y, z in m) of each booster with increments.
 
     The normal force is stored as slope and slope times station. Hence a moment about a fixed reference is transferred
     exactly to a moving CG, even where the slope is zero.
@@ -183,14 +180,14 @@ def _mach_table(
 
 
 def _boosters(stage: Stage) -> tuple[tuple[Booster, ...], tuple[tuple[CsvTable, tuple[float, float]], ...]]:
-    """Return the boosters with a normal force, and table and position of all that have increments."""
+    """Return the boosters with a normal force, and table and position of all boosters with increments."""
     given = [(booster, booster.aero.table) for booster in stage.booster if booster.aero is not None]
     lifting = tuple(booster for booster, table in given if "CN_alpha_pr" in table)
     return lifting, tuple((table, booster.position_m) for booster, table in given)
 
 
 def _remainder(table: CsvTable, surfaces: list[Cubics], method: Method, reference_m: float, chord_m: float) -> Cubics:
-    """Return the difference between the normal force in the table of coefficients and the sum over the surfaces."""
+    """Return the normal force of the table of coefficients minus the sum over the surfaces."""
     slope = table.get("CN_alpha_pr")
     if "x_cp_m" in table:
         moment = slope * table["x_cp_m"]
@@ -207,10 +204,10 @@ def _remainder(table: CsvTable, surfaces: list[Cubics], method: Method, referenc
 
 
 def surface_stations(stage: Stage) -> tuple[float, ...]:
-    """Return the station, m, at which each lifting surface meets mode shapes and wind: the mean over its Mach table.
+    """Return the stations, m, at which mode shapes and wind are evaluated, one for each lifting surface.
 
-    Three groups follow: one station for the normal force in excess of the surfaces' sum, then those of the boosters,
-    and of the tables over angle of attack.
+    The station of a surface is the mean over its Mach table. Three groups follow: one station for the normal force in
+    excess of the surfaces' sum, then those of the boosters, and of the tables over angle of attack.
     """
     aero = stage.aero
     if aero is None:
@@ -222,7 +219,7 @@ def surface_stations(stage: Stage) -> tuple[float, ...]:
 
 
 def surface_bodies(stage: Stage) -> tuple[int, ...]:
-    """Return for each of `surface_stations` the number of its body: 0 the core, then the boosters."""
+    """Return the body of each of `surface_stations`: 0 for the core, then the boosters from 1."""
     lifting = _boosters(stage)[0]
     tables = len(stage.aero.coefficients) if stage.aero is not None else 0
     own = len(surface_stations(stage)) - len(lifting) - tables

@@ -1,4 +1,4 @@
-"""The aerodynamics of a stage, as in the vehicle file."""
+"""The schema of the aerodynamics of a stage in the vehicle file."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class AeroSurface(Section):
 
 
 class Coefficients(Section):
-    """A table of coefficients over Mach number and angle of attack; all tables and the slopes add up."""
+    """A table of coefficients over Mach number and angle of attack; all tables and the slopes are summed."""
 
     name: str = optional("name of the table", "")
     table: Annotated[CsvTable, COEFFICIENT_COLUMNS] = Field(
@@ -99,9 +99,9 @@ class Coefficients(Section):
             self._check_axis(grid)
 
     def _check_axis(self, grid: GridTable) -> None:
-        """Check the coefficients where the flow is along the axis.
+        """Check the coefficients at the angles at which the flow is along the axis.
 
-        Lateral ones must be zero, and none may depend on the roll angle.
+        Lateral coefficients must be zero there, and none may depend on the roll angle.
         """
         k = grid.axes.index("total_deg")
         total = grid.breaks[k]
@@ -129,7 +129,7 @@ class Coefficients(Section):
 
 
 class AeroSection(Section):
-    """The coefficients over Mach number and angle of attack; outside the table the end values hold."""
+    """The coefficients over Mach number and angle of attack; the end values apply outside the table."""
 
     table: Annotated[CsvTable, AERO_COLUMNS] = Field(
         default_factory=_nothing,
@@ -163,7 +163,7 @@ class AeroSection(Section):
 
     @property
     def moment_reference(self) -> tuple[str, CsvTable]:
-        """Return the variable of the moment reference ("", "time_s", "mass_kg"), and its station over that."""
+        """Return the variable of the moment reference ("", "time_s", "mass_kg"), and the table of its station."""
         for key, table in (("time_s", self.moment_reference_over_time), ("mass_kg", self.moment_reference_over_mass)):
             if table is not None:
                 return key, table

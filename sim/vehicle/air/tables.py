@@ -1,4 +1,4 @@
-"""Tables of aerodynamic coefficients over Mach number and angles: from the long format to a grid of values."""
+"""Tables of aerodynamic coefficients over Mach number and angles: conversion from the long format to a grid."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ MOST_AXES = 3
 
 @dataclass(frozen=True, eq=False)
 class GridTable:
-    """Coefficients over one to three variables, each at every combination of their values."""
+    """Coefficients over one to three variables, for all combinations of the variables' values."""
 
     axes: tuple[str, ...]  # in the order of AXES
     breaks: tuple[NDArray[np.float64], ...]  # breakpoints of each variable, increasing; angles in deg
     names: tuple[str, ...]
-    values: NDArray[np.float64]  # (points of each variable ..., names)
+    values: NDArray[np.float64]  # (number of values of each variable ..., names)
 
 
 def grid_table(table: CsvTable, at: Path = ()) -> GridTable:
-    """Return the grid of a table whose columns have been checked; `at` is its key.
+    """Return the grid of a table whose columns have been checked; `at` is the path of its key.
 
     Rows may be in any order. Raises the refusal of the schema unless each combination of the variables' values has
-    exactly one row and the values are possible. A roll angle is periodic: a table over less than 360 deg is closed by
+    exactly one row and all values are allowed. A roll angle is periodic: a table over less than 360 deg is closed by
     its first value, and over 360 deg its ends must be equal.
     """
     made = table.derived
@@ -94,7 +94,7 @@ def _closed(
     values: NDArray[np.float64],
     at: Path,
 ) -> tuple[tuple[NDArray[np.float64], ...], NDArray[np.float64]]:
-    """Return the table with the roll angle's first value repeated at its end."""
+    """Return the table with the first value of the roll angle repeated at its end."""
     k = axes.index("roll_deg")
     roll = breaks[k]
     turn = roll[-1] - roll[0]

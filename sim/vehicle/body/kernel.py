@@ -1,4 +1,4 @@
-"""The rigid body: mass properties with the engine deflected, its inertial reaction, outflow, and kinematics."""
+"""The rigid body: mass properties and inertial reaction of deflected engines, propellant flow, and kinematics."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ class Balance(NamedTuple):
 
     offset: Vector  # vector from the core CG to the CG
     inertia: Symmetric  # about the core CG
-    inverse_inertia: Symmetric  # inverse of the tensor about that CG, with the compliance of the modes in roll
+    inverse_inertia: Symmetric  # inverse of the tensor about that CG, with the modal compliance in roll
     given_way_kgm2: float  # reduction of the roll inertia by the modes, see engine/modes.py
 
 
 @kernel
 def _at_rest(e: Engine, k: int, gimbal: Vector) -> Vector:
-    """Return the CG of engine k at rest relative to the core CG."""
+    """Return the CG of engine k at rest relative to the core CG, B, m."""
     arm = e.cg_from_gimbal_m[k]
     return gimbal[0] - arm * e.rest_x[k], gimbal[1] - arm * e.rest_y[k], gimbal[2] - arm * e.rest_z[k]
 
 
 @kernel
 def displaced_inertia(e: Engine, k: int, engine: Deflected, inertia: Symmetric) -> Symmetric:
-    """Return `inertia` about the core CG after engine k has moved from its rest position."""
+    """Return `inertia` about the core CG after the deflection of engine k from its rest position."""
     mass, rest = e.gimballed_mass_kg[k], _at_rest(e, k, engine.gimbal)
     return _plus_point(_plus_point(inertia, mass, add(rest, engine.delta)), -mass, rest)
 
@@ -56,7 +56,7 @@ def displaced_inertia(e: Engine, k: int, engine: Deflected, inertia: Symmetric) 
 def balance(
     e: Engine, sizes: Counts, first: Deflected, given_way_kgm2: float, properties: Array, engines: KeptEngines
 ) -> Balance:
-    """Return CG and inertia with the given first engine, and further engines from `engines`."""
+    """Return CG and inertia with the first engine as given, and further engines from `engines`."""
     inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_CORE_MASS]
     inertia = displaced_inertia(e, 0, first, symmetric_at(properties, sch.CORE_INERTIA))
     offset = scaled(e.gimballed_mass_kg[0] * inverse_mass, first.delta)
@@ -70,7 +70,7 @@ def balance(
 
 @kernel
 def _plus_point(j: Symmetric, mass: float, at: Vector) -> Symmetric:
-    """Return the inertia integrals with a point mass added."""
+    """Return the inertia integrals with the addition of a point mass."""
     xx, yy, zz = at[0] * at[0], at[1] * at[1], at[2] * at[2]
     return (
         j[0] + mass * (yy + zz),
@@ -88,11 +88,11 @@ def engine_reaction(
 ) -> tuple[Vector, Vector, Load]:
     """Return force and moment (about the core CG) of the moving engine k on the vehicle, in B ("tail wags dog").
 
-    The third result is the load at the gimbal that excites the modes. `bending`: velocity of the engine's CG at rest
-    due to the modes (`engine_velocity`), m/s.
+    The third result is the load at the gimbal on the modes. `bending`: velocity of the engine's CG at rest due to the
+    modes (`engine_velocity`), m/s.
 
-    Terms in the unknown accelerations are in the mass matrix (`Balance`). The axial load on the displaced engine also
-    bends the body, a first-order effect of the deflection.
+    Terms with the unknown accelerations are in the mass matrix (`Balance`). The axial load on the displaced engine also
+    bends the body, which is a first-order effect of the deflection.
     """
     mass, inertia = e.gimballed_mass_kg[k], e.inertia_kgm2[k]
     relative = add(engine.delta_accel, scaled(2.0, cross(rate, engine.delta_rate)))
@@ -101,7 +101,7 @@ def engine_reaction(
     moment = scaled(-mass, cross(at, relative))
     spin = add(engine.relative_accel, cross(rate, engine.relative_rate))
     moment = add(moment, scaled(-inertia, spin))
-    # the angular momentum about x of the displaced mass that the modes move, and its rate without their accelerations
+    # Angular momentum about x of the displaced mass that the modes move, and its rate without their accelerations.
     delta, delta_rate = engine.delta, engine.delta_rate
     roll = mass * (delta[1] * bending[2] - delta[2] * bending[1])
     growth = mass * (delta_rate[1] * bending[2] - delta_rate[2] * bending[1])
@@ -115,7 +115,10 @@ def engine_reaction(
 
 @kernel
 def engine_momentum(e: Engine, k: int, engine: Deflected, roll_rate: float) -> Load:
-    """Return the momentum that engine k adds to that of the modes, as a load at its gimbal: N s, N m s (3.4, 4.1)."""
+    """Return the momentum that engine k adds to that of the modes, as a load at its gimbal (docs/model.md, 3.4, 4.1).
+
+    Its units are N s and N m s.
+    """
     delta, moving = engine.delta, engine.delta_rate
     velocity = (moving[0], moving[1] - roll_rate * delta[2], moving[2] + roll_rate * delta[1])
     spin = scaled(e.inertia_kgm2[k], engine.relative_rate)
@@ -124,11 +127,11 @@ def engine_momentum(e: Engine, k: int, engine: Deflected, roll_rate: float) -> L
 
 @kernel
 def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, properties: Array) -> None:
-    """Compute the derived properties of the flowing propellant (momentum, jet damping), and the inverse masses.
+    """Compute the derived properties of the propellant flow (momentum, jet damping), and the inverse masses.
 
     The relative momentum of the inner flow is d(m c)/dt + mdot r_exit (mass conservation). The moment about the core CG
-    is -(dJ/dt) w - mdot r_exit x (w x r_exit) (docs/model.md, section 8; Eke 1998, Meirovitch 1970). It is that of a
-    point of "mass" mdot at the exit. The mass that a bob loses flows into the core at the bob's position.
+    is -(dJ/dt) w - mdot r_exit x (w x r_exit) (docs/model.md, section 8; Eke 1998, Meirovitch 1970). Its second term is
+    that of a point mass mdot at the exit. The mass that a bob loses flows into the core at the position of the bob.
     """
     mass = properties[sch.CORE_MASS]
     inner = scaled(mass, (-properties[sch.CG_RATE], properties[sch.CG_RATE + 1], properties[sch.CG_RATE + 2]))
@@ -164,7 +167,7 @@ def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, properties: Array) -
 
 @kernel
 def coriolis_of_outflow(sizes: Counts, rate: Vector, properties: Array) -> tuple[Vector, Vector]:
-    """Return force and moment of the propellant that flows through a turning vehicle: jet damping."""
+    """Return force (N) and moment (N m), in B, of the propellant flow through a rotating vehicle (jet damping)."""
     behind = sch.schedule_width(sizes)
     force = scaled(-2.0, cross(rate, vector_at(properties, behind + sch.INNER_FLOW)))
     damping = symmetric_at(properties, behind + sch.JET_DAMPING)
@@ -186,7 +189,7 @@ def kinematics(
 ) -> None:
     """Write the derivatives of position, velocity, attitude and rate.
 
-    The core CG moves through the body as propellant leaves. On the pad, position and attitude rotate with the Earth.
+    The core CG moves in the body as propellant is consumed. On the pad, position and velocity rotate with the Earth.
     """
     if on_pad == 1:
         turning = earth.rate_radps

@@ -1,4 +1,4 @@
-"""The mass, inertia and reference lengths of a vehicle, as in its file."""
+"""The schema of the mass, inertia and reference lengths of a vehicle in its file."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Mass(Section):
     def finely(
         self, ignition_s: float, interpolation: Literal["pchip", "linear"]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return times of the stage clock (s) and the mass at them (kg), as interpolated in flight."""
+        """Return times of the stage clock (s) and the mass (kg) at these times, as interpolated in flight."""
         from maxq.control.kernel.tables import fit  # noqa: PLC0415  # lazy: it imports the compiler
 
         if self.table is None:
@@ -81,7 +81,7 @@ class Mass(Section):
         return fine, fit(times, mass[:, None], interpolation).at(fine)[:, 0]
 
     def rows(self, ignition_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return times (n,) and rows (n, 10): mass, CG station, y and z, and integrals Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""
+        """Return times (n,) and rows (n, 10): mass, CG station, y, z, and integrals Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""
         if self.table is not None:
             table = self.table
             names = ("y_cg_m", "z_cg_m"), ("Ixy_kgm2", "Ixz_kgm2", "Iyz_kgm2")
@@ -122,18 +122,18 @@ class Mass(Section):
 
 
 def joined(parts: Sequence[tuple[NDArray[np.float64], tuple[float, float]]]) -> NDArray[np.float64]:
-    """Return the rows (n, 10) of `Mass.rows` of several bodies together.
+    """Return the rows (n, 10) of `Mass.rows` of several bodies combined.
 
-    Each part has its own rows, and the position y, z of its axis.
+    Each part is the rows of a body and the position y, z (m) of its axis.
     """
     total = [moments(rows, place) for rows, place in parts]
     return about_centre(np.sum(total, axis=0))
 
 
 def moments(rows: NDArray[np.float64], place: tuple[float, float]) -> NDArray[np.float64]:
-    """Return mass, its first moments (aft, y, z) and its integrals of second order about the nose, (n, 10).
+    """Return mass, its first moments (aft, y, z) and its second-order integrals about the nose, (n, 10).
 
-    These quantities are sums over the bodies of a vehicle.
+    The values of a vehicle are the sums over its bodies. `place`: y, z of the body's axis, m.
     """
     mass = rows[:, 0]
     aft, y, z = rows[:, 1], rows[:, 2] + place[0], rows[:, 3] + place[1]
@@ -147,7 +147,7 @@ def about_centre(total: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def squares(aft: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the integrals of second order of a unit mass at a station and y, z in B, (n, 6)."""
+    """Return the second-order integrals of a unit point mass at a station and y, z in B, (n, 6)."""
     x = -aft
     return np.stack([y * y + z * z, x * x + z * z, x * x + y * y, x * y, x * z, y * z], axis=1)
 
@@ -157,9 +157,9 @@ _SLACK = 1e-9
 
 
 def first_impossible(inertia: NDArray[np.float64]) -> tuple[int, str] | None:
-    """Return the row of the first impossible tensor of (n, 3, 3) and the reason, or None if all are possible.
+    """Return the index of the first impossible tensor of (n, 3, 3) and the reason, or None if all are possible.
 
-    A body's principal moments are positive, and none is larger than the sum of the other two.
+    The principal moments of a body are positive, and none is larger than the sum of the other two.
     """
     moments = np.linalg.eigvalsh(inertia)
     smallest, largest = moments[:, 0], moments[:, 2]
@@ -179,7 +179,7 @@ def first_impossible(inertia: NDArray[np.float64]) -> tuple[int, str] | None:
 
 
 def _first(*keys: str) -> Any:
-    """Return the default of a field: the value of the first of `keys`, which are fields before it."""
+    """Return the default factory of a field: the value of the first of `keys`, which are earlier fields."""
 
     def default(data: dict[str, Any]) -> float:
         return float(next((data[key] for key in keys if key in data), 1.0))

@@ -1,6 +1,6 @@
-"""The allocation of a stage's commands to its groups of engines.
+"""The allocation of a stage's commands to its groups of engines, by their positions and thrusts.
 
-It follows from their positions and thrusts (control/allocation.py).
+The method is that of control/allocation.py.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 
 def pack_allocation(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) -> Allocation:
-    """Pack the allocation of a stage; a single group receives the law's commands unchanged.
+    """Return the allocation of a stage; a single group receives the law's commands unchanged.
 
-    Moments are those of the largest nominal vacuum thrusts about the CG at half of the burn, because the shares of a
-    cluster in each axis depend on little else. The allocation accounts for a fault `reallocate_after_s` after it
+    Moments are those of the largest nominal vacuum thrusts about the CG at half of the burn. The shares of a cluster in
+    each axis depend only slightly on the instant. The allocation accounts for a fault `reallocate_after_s` after it
     occurs.
     """
     if len(stage.engine_groups) == 1:
@@ -52,9 +52,10 @@ def pack_allocation(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) ->
 
 
 def channel_scales_rad(stage: Stage) -> list[float]:
-    """Return the scales of the pitch and yaw channels of each group.
+    """Return the scales of the pitch and yaw channels of each group, rad.
 
-    A scale is the angle limit divided by the square root of the number of engines, because each engine's effort counts.
+    A scale is the angle limit divided by the square root of the number of gimballed engines, because the allocation
+    minimises a sum over engines.
     """
     limits = limits_rad(stage) or [1.0] * (2 * len(stage.engine_groups))
     sizes = [sum(e.group == group and e.gimbal != "fixed" for e in stage.engines) for group in stage.engine_groups]
@@ -62,19 +63,23 @@ def channel_scales_rad(stage: Stage) -> list[float]:
 
 
 def limits_rad(stage: Stage) -> list[float]:
-    """Return the limits of the angles of pitch and yaw of each group's actuators; none for ideal ones."""
+    """Return the angle limits of each group's actuators in pitch and yaw, rad; an empty list for ideal actuators."""
     return [math.radians(axis.angle_limit_deg) for actuator in stage.actuators for axis in actuator.axes]
 
 
 def moments(stage: Stage, lost: tuple[EngineFault, ...]) -> Array:
-    """Return the moments in pitch, yaw and roll (3, channels) per radian of each channel, N m/rad."""
+    """Return the moments in pitch, yaw and roll (3, channels) per radian of each channel, N m/rad.
+
+    `lost`: faults of engines to be included.
+    """
     groups = stage.engine_groups
     out = np.zeros((3, 2 * len(groups)))
     cg_m, y_m, z_m = cg_at_half_burn(stage)
     for number, engine in enumerate(stage.engines):
         if engine.gimbal == "fixed":
             continue
-        strength = float(engine.table["thrust_vacuum_N"].max())  # the computer has no deviations of engines
+        # without deviations of the engines, which the computer does not have
+        strength = float(engine.table["thrust_vacuum_N"].max())
         for fault in lost:
             if fault.affects(number):
                 strength *= 0.0 if fault.fault.loss is None else 1.0 - fault.fault.loss
@@ -88,7 +93,7 @@ def moments(stage: Stage, lost: tuple[EngineFault, ...]) -> Array:
 
 
 def cg_at_half_burn(stage: Stage) -> tuple[float, float, float]:
-    """Return station, y and z of the whole vehicle's CG when half of its propellant is spent, m."""
+    """Return station, y and z of the CG of the whole vehicle when half of its propellant is consumed, m."""
     rows = stage.mass_over_time()[1][::-1]
     half = 0.5 * float(rows[0, 0] + rows[-1, 0])
     x, y, z = (float(np.interp(half, rows[:, 0], rows[:, k])) for k in (1, 2, 3))

@@ -1,17 +1,17 @@
-"""The burn of a stage: its begin and end, the share of thrust of each engine, and the propellant spent over time.
+"""The burn of a stage: its start and end, the thrust share of each engine, and the propellant consumed over time.
 
-Tables over the stage clock are tables over the propellant spent, because mass, tanks, modes and thrust depend on the
-remaining propellant. An engine that is throttled, off or weak spends less, and the clock s of the tables runs slower
-than the stage clock t:
+Tables over the stage clock are treated as tables over the propellant consumed, because mass, tanks, modes and thrust
+depend on the remaining propellant. An engine that is throttled, off or weak consumes less, and the clock s of the
+tables runs slower than the stage clock t:
 
     ds/dt = sum_i w_i(s) m_i(t),   w_i = share of engine i in the nominal mass flow, m_i = its throttle times faults
 
-If the shares are constant (engines of one table) and m_i is constant, s(t) is exact. Ramps of m_i are followed in steps
-of `_RAMP_S`, and changing shares in steps of `_SHARES_S` by the classical Runge-Kutta method. All engines of a body,
-the core or a booster, are assumed to draw from its tanks. Hence the remaining propellant and its distribution depend on
-the amount spent, not on the engine that spent it. Every body has a clock of its own.
+If the shares are constant (engines of one table) and m_i is constant, s(t) is exact. Ramps of m_i are integrated in
+steps of `_RAMP_S`, and changing shares in steps of `_SHARES_S`, by the classical Runge-Kutta method. All engines of a
+body, the core or a booster, are assumed to draw from its tanks. Hence the remaining propellant and its distribution
+depend on the amount consumed, not on the engine that consumed it. Every body has its own clock.
 
-A table with one row is constant and covers all times. `burn_factor` makes the tables' clock run faster.
+A table with one row is constant and covers all times. `burn_factor` multiplies the rate of the tables' clock.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _RAMP_S, _SHARES_S, _BUILD_UP_S = 0.1, 0.5, 2.0
 
 
 def thrust_end_s(body: Body) -> float:
-    """Return the time of a body's tables from which on it has no thrust.
+    """Return the time of a body's tables from which on it has no thrust, s.
 
     It is 0 without an engine or with constant thrust, and the last time of a thrust table that does not end at zero.
     """
@@ -51,7 +51,7 @@ def thrust_end_s(body: Body) -> float:
 
 
 def burns_for_ever(body: Body) -> bool:
-    """Return True if an engine's table of thrust has one row."""
+    """Return True if the thrust table of an engine has one row."""
     return any(len(engine.table) == 1 for engine in body.own_engines)
 
 
@@ -63,7 +63,7 @@ def _table_end_s(table: CsvTable) -> float:
 
 
 def burn_rate(body: Body) -> float:
-    """Return the seconds of the tables' clock per second of the stage clock."""
+    """Return the rate of the tables' clock relative to the stage clock without throttling and faults."""
     engines = body.own_engines
     rates = {engine.burn_factor for engine in engines}
     if len(rates) < 2:
@@ -74,9 +74,9 @@ def burn_rate(body: Body) -> float:
 
 
 def stage_spans(stages: Sequence[Stage], ends_s: Sequence[float] = ()) -> list[tuple[float, float]]:
-    """Return for each stage the zero of its clock on the vehicle clock, and its end on its own clock.
+    """Return the zero of each stage's clock on the vehicle clock, and the end of the stage on its own clock, s.
 
-    The ends are those of the nominal tables, or `ends_s`. The end of the last stage is infinity.
+    The ends are those of the nominal tables, or `ends_s`. The end of the last stage is inf.
     """
     out: list[tuple[float, float]] = []
     start_s = end_s = 0.0
@@ -100,7 +100,7 @@ def _nominal_end_s(stages: Sequence[Stage], n: int) -> float:
 
 
 def nominal_burnout_s(stage: Stage) -> float:
-    """Return the end of the last thrust of a stage by its tables, on its clock; 0 with constant thrust."""
+    """Return the end of the last thrust of a stage by its tables, on its clock, s; 0 with constant thrust."""
     if any(burns_for_ever(body) for body in stage.bodies):
         return 0.0
     ends = [b.ignition_s + thrust_end_s(b) / burn_rate(b) for b in stage.booster]
@@ -108,15 +108,16 @@ def nominal_burnout_s(stage: Stage) -> float:
 
 
 def leaving(stages: Sequence[Stage], n: int) -> tuple[Booster, ...]:
-    """Return the boosters that leave at the end of stage n while the core flies on; none if the core leaves too."""
+    """Return the boosters that separate at the end of stage n; none if the core separates too."""
     return stages[n].leaving(stages[n + 1]) if n + 1 < len(stages) else ()
 
 
 @dataclass(frozen=True)
 class EngineFault:
-    """A fault of engines, on the stage clock.
+    """A fault of engines, with its times on the stage clock.
 
-    `loss`: share of the thrust that is lost at once; a tail-off gives the remaining share instead.
+    The engine immediately loses the share `fault.loss` of its thrust, by default all of it. A tail-off specifies the
+    remaining share over time instead.
     """
 
     fault: Fault
@@ -124,17 +125,17 @@ class EngineFault:
     until_s: float
 
     def affects(self, number: int) -> bool:
-        """Return True if an engine of this number fails."""
+        """Return True if the engine of this number fails."""
         return self.fault.engine in (None, number)
 
     def left(self, time_s: float, before: bool) -> float:
-        """Return the remaining share of thrust and flow at an instant, or just before it."""
+        """Return the remaining share of thrust and flow at an instant, or with `before` immediately before it."""
         on = self.at_s < time_s <= self.until_s if before else self.at_s <= time_s < self.until_s
         if not on:
             return 1.0
         if self.fault.tail_off is not None:
             table = self.fault.tail_off
-            return float(np.interp(time_s, self.at_s + table["time_s"], table["share"]))  # as `instants`, to the bit
+            return float(np.interp(time_s, self.at_s + table["time_s"], table["share"]))  # bit-identical to `instants`
         return 0.0 if self.fault.loss is None else 1.0 - self.fault.loss
 
     def instants(self) -> list[float]:
@@ -144,11 +145,11 @@ class EngineFault:
 
 @dataclass(frozen=True)
 class TableClock:
-    """The clock of the stage's tables over the stage clock: a parabola from each of `time_s` to the next.
+    """The clock of the stage's tables over the stage clock: a parabola between consecutive `time_s`.
 
-    - `table_s` (n,).
-    - `rate` (n, 2): ds/dt after an instant, and just before the next; the last rate holds for ever.
-    - `share` (engines, n, 2): throttle and faults of each engine, linear between.
+    - `time_s` (n,), `table_s` (n,): stage clock, and clock of the tables at these times.
+    - `rate` (n, 2): ds/dt at the start of an interval and at its end; the last rate applies indefinitely.
+    - `share` (engines, n, 2): throttle times faults of each engine at the start and the end, linear between.
     """
 
     time_s: BurnNumbers
@@ -164,10 +165,7 @@ class TableClock:
         return k, self.table_s[k] + into * (self.rate[k, 0] + 0.5 * slope * into), self.rate[k, 0] + slope * into
 
     def when(self, table_s: BurnNumbers) -> BurnNumbers:
-        """Return the first instants at which the tables' clock reads `table_s`.
-
-        They are infinite for values never reached.
-        """
+        """Return the first instants at which the tables' clock reaches `table_s`; inf for values never reached."""
         out = np.full(len(table_s), np.inf)
         slopes = self.slopes()
         ends = np.append(self.table_s[1:], np.inf if self.rate[-1, 0] > 0.0 else self.table_s[-1])
@@ -183,7 +181,7 @@ class TableClock:
         return out
 
     def slopes(self) -> BurnNumbers:
-        """Return the slopes of the rate in each interval; the last rate is held."""
+        """Return the slope of the rate in each interval; the last rate is constant."""
         lengths = np.append(np.diff(self.time_s), np.inf)
         return np.asarray((self.rate[:, 1] - self.rate[:, 0]) / lengths)
 
@@ -192,8 +190,8 @@ class TableClock:
 class Burn:
     """A stage's burn: its zero on the vehicle clock, and burnout and end on its own clock.
 
-    `clock` is None if the tables' clock is the stage clock times `burn_rate`. `bodies` holds the burns of the core and
-    of each booster on the clock of the stage. It is empty without boosters.
+    `clock` is None if the tables' clock is the stage clock times `burn_rate`. `bodies` contains the burns of the core
+    and of each booster on the clock of the stage; it is empty without boosters.
     """
 
     start_s: float
@@ -205,11 +203,11 @@ class Burn:
     ignition_s: float = 0.0
 
     def of(self, body: int) -> Burn:
-        """Return the burn of a body of the stage."""
+        """Return the burn of a body of the stage: 0 for the core, then the boosters from 1."""
         return self.bodies[body] if self.bodies else self
 
     def over(self, table_s: BurnNumbers) -> BurnNumbers:
-        """Return the clock of this body's tables at those of the core, if all burn nominally."""
+        """Return the clock of this body's tables at values of the core's clock, if all bodies burn nominally."""
         return np.maximum(table_s - self.ignition_s, 0.0)
 
 
@@ -223,7 +221,7 @@ def stage_burns(stages: Sequence[Stage], faults: Sequence[Fault], liftoff_s: flo
     `liftoff_s`: time of liftoff on the vehicle clock; faults timed from liftoff occur only if it is finite.
     """
     out: list[Burn] = []
-    first = 0  # stage whose clock this stage has
+    first = 0  # stage at whose start the clock of this stage begins
     for n, stage in enumerate(stages):
         start_s, end_s = stage_spans(stages[: n + 2], [burn.end_s for burn in out])[n]
         first = n if stage.clock == "own" else first
@@ -254,7 +252,7 @@ def stage_burns(stages: Sequence[Stage], faults: Sequence[Fault], liftoff_s: flo
 
 
 def _body_burns(stage: Stage, faults: tuple[EngineFault, ...]) -> tuple[Burn, ...]:
-    """Return the burn of the core and of each booster, on the clock of the stage."""
+    """Return the burns of the core and of each booster, on the clock of the stage."""
     out: list[Burn] = []
     first = 0
     for body in stage.bodies:
@@ -274,7 +272,10 @@ def _body_burns(stage: Stage, faults: tuple[EngineFault, ...]) -> tuple[Burn, ..
 
 
 def _body_burn(body: Body, faults: tuple[EngineFault, ...], first: int, *, clocked: bool) -> Burn:
-    """Return the burn of a body on its own clock; `first` is the number of its first engine in the stage."""
+    """Return the burn of a body on its own clock; `first` is the number of its first engine in the stage.
+
+    With `clocked`, the burn has a `TableClock` in all cases.
+    """
     engines = body.own_engines
     unlike = len({e.burn_factor for e in engines}) > 1
     if clocked or faults or unlike or any(e.throttle is not None for e in engines):
@@ -284,20 +285,17 @@ def _body_burn(body: Body, faults: tuple[EngineFault, ...], first: int, *, clock
 
 
 def table_time_s(stage: Stage, burn: Burn, time_s: float) -> float:
-    """Return the clock of a stage's tables, the propellant spent, at an instant of its own clock."""
+    """Return the clock of a stage's tables (the propellant consumed) at an instant of the stage clock, s."""
     return burn_rate(stage) * time_s if burn.clock is None else float(burn.clock.at(np.array([time_s]))[1][0])
 
 
 def when_spent_s(stage: Stage, burn: Burn, table_s: float) -> float:
-    """Return the instant of a stage's clock at which its tables' clock reads `table_s`.
-
-    It is infinite if that never happens.
-    """
+    """Return the instant of the stage clock at which the tables' clock reaches `table_s`; inf if it never does."""
     return table_s / burn_rate(stage) if burn.clock is None else float(burn.clock.when(np.array([table_s]))[0])
 
 
 def _burnout_s(body: Body, clock: TableClock) -> float:
-    """Return the end of the last thrust: 0 with constant thrust, as in `thrust_end_s`, and without any."""
+    """Return the end of the last thrust, s; 0 with constant thrust, as in `thrust_end_s`, and without thrust."""
     end_s = thrust_end_s(body)
     if len(clock.share) == 0:
         return 0.0
@@ -309,7 +307,7 @@ def _burnout_s(body: Body, clock: TableClock) -> float:
 
 
 def table_clock(body: Body, faults: Sequence[EngineFault], first: int = 0) -> TableClock:
-    """Return the clock of the tables of a body whose engines are throttled, or fail.
+    """Return the clock of the tables of a body whose engines are throttled or fail.
 
     `first`: number of its first engine in the stage.
     """
@@ -319,7 +317,7 @@ def table_clock(body: Body, faults: Sequence[EngineFault], first: int = 0) -> Ta
     instants = {0.0, *(t for fault in faults for t in fault.instants())}
     instants |= {float(t) for e in engines if e.throttle is not None for t in e.throttle["time_s"]}
     alike = all(e.table == engines[0].table for e in engines)
-    if not alike:  # while the thrust builds up, shares change fast
+    if not alike:  # shares change rapidly during the build-up of thrust
         instants |= set(np.arange(0.0, _BUILD_UP_S, _RAMP_S / 5.0).tolist())
     coarse = np.array(sorted(t for t in instants if t >= 0.0))
     times: list[float] = []
@@ -332,7 +330,7 @@ def table_clock(body: Body, faults: Sequence[EngineFault], first: int = 0) -> Ta
         step = _RAMP_S if ramps else math.inf if alike else _SHARES_S
         pieces = max(1, math.ceil((end - begin) / step)) if math.isfinite(step) else 1
         times += [begin + (end - begin) * j / pieces for j in range(pieces)]
-    if not alike:  # to the end of the tables, even at the slowest rate
+    if not alike:  # up to the end of the tables, even at the slowest rate
         last = max(float(e.table["time_s"][-1]) for e in engines)
         times += list(np.arange(times[-1] + _SHARES_S, 4.0 * last, _SHARES_S))
     time = np.array(times)
@@ -347,7 +345,7 @@ def table_clock(body: Body, faults: Sequence[EngineFault], first: int = 0) -> Ta
 
 
 def _share(engine: EngineSection, number: int, faults: Sequence[EngineFault], time_s: float, before: bool) -> float:
-    """Return throttle times faults of an engine."""
+    """Return throttle times faults of an engine at an instant, or with `before` immediately before it."""
     out = 1.0
     if engine.throttle is not None:
         out = float(np.interp(time_s, engine.throttle["time_s"], engine.throttle["throttle"]))
@@ -358,13 +356,16 @@ def _share(engine: EngineSection, number: int, faults: Sequence[EngineFault], ti
 
 
 def _integrated(body: Body, time: BurnNumbers, share: BurnNumbers) -> TableClock:
-    """Integrate ds/dt = 1 - sum of w_i (1 - m_i f_i), which is exactly 1 while all engines burn nominally."""
+    """Integrate ds/dt = 1 - sum of w_i (1 - m_i f_i), which is exactly 1 while all engines burn nominally.
+
+    f_i is the burn factor of engine i.
+    """
     factor = np.array([e.burn_factor for e in body.own_engines])
     missing = 1.0 - share * factor[:, None, None]
     table, rate = np.zeros(len(time)), np.zeros((len(time), 2))
 
     def slope(k: int, s: float, part: float) -> float:
-        """Return the slope within interval k, `part` of the way."""
+        """Return ds/dt at the fraction `part` of interval k, for the tables' clock `s`."""
         lost = missing[:, k, 0] + part * (missing[:, k, 1] - missing[:, k, 0])
         return 1.0 - float(np.sum(flow_shares(body, s) * lost))
 
@@ -377,14 +378,14 @@ def _integrated(body: Body, time: BurnNumbers, share: BurnNumbers) -> TableClock
             k_3 = slope(k, s + 0.5 * h * k_2, 0.5)
             k_4 = slope(k, s + h * k_3, 1.0)
             table[k + 1] = s + h / 6.0 * (rate[k, 0] + 2.0 * (k_2 + k_3) + k_4)
-            rate[k, 1] = 2.0 * (table[k + 1] - s) / h - rate[k, 0]  # the parabola that ends there
+            rate[k, 1] = 2.0 * (table[k + 1] - s) / h - rate[k, 0]  # the parabola through these values and this end
     return TableClock(time, table, rate, share)
 
 
 def flow_shares(body: Body, table_s: float) -> BurnNumbers:
     """Return the share of each engine in the nominal mass flow of its body.
 
-    If nothing flows it is the share at the largest thrust.
+    If the flow is zero, the shares are those of the largest flows or thrusts.
     """
     flows = np.array([_flow(e, table_s) for e in body.own_engines])
     if flows.sum() == 0.0:

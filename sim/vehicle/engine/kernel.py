@@ -1,12 +1,12 @@
 """Engines: thrust, and direction of the thrust with its time derivatives.
 
-An engine is mounted on a gimbal behind the vehicle and follows the actuators of its group exactly, in two planes, in
-one, or not at all. At rest its mass is part of the core; `rigid.engine_reaction` adds the effects of a deflection
-("tail wags dog").
+An engine is mounted on a gimbal at the aft end and follows the actuators of its group exactly, in two planes, in one,
+or not at all. At rest its mass is part of the core; `rigid.engine_reaction` adds the effects of a deflection ("tail
+wags dog").
 
-Engines that move together and differ only in their lateral position are combined into one, with n times the thrust,
-mass and inertia at the mean of their positions. This is exact (docs/model.md, section 3), and nine such engines cost as
-much as one.
+Engines that move together and differ only in their lateral position are combined into one engine, with n times the
+thrust, mass and inertia at the mean of their positions. The combination is exact (docs/model.md, section 3), and takes
+the computing time of a single engine.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ Indices = Annotated[IntArray, _PER_ENGINE]
 
 @dataclass(frozen=True)
 class Engine:
-    """All engines of a stage; `Sizes.engines` is their number.
+    """The parameters of all engines of a stage; `Sizes.engines` is their number.
 
-    - `turned_*_rad`: cant and misalignment, which add to the gimbal's angles.
-    - `rest_*`: thrust axis with cant, but neither deflected nor misaligned, B.
+    - `turned_*_rad`: cant plus misalignment, added to the gimbal angles.
+    - `rest_*`: unit vector of the thrust with cant, without deflection and misalignment, B.
     - `lever_*_m`: vector from the body axis at the gimbal's station to the engine's CG at rest (aft, y, z), for the
-      modes. y and z are used for canted engines only; without cant they are of second order.
+      modes. Its y and z are used for canted engines only; without cant they are of second order.
     - `exit_*`: centre and second moments of the nozzle exits about it, for jet damping.
     """
 
     exit_area_m2: Numbers
     thrust_factor: Numbers
-    curve: Indices  # curve of vacuum thrust
+    curve: Indices  # index of the curve of vacuum thrust
     group: Indices
-    follows_pitch: Numbers  # 1 where the engine follows its group in that plane, else 0
+    follows_pitch: Numbers  # 1 if the engine follows its group in this plane, otherwise 0
     follows_yaw: Numbers
-    gimbal: Indices  # station of gimbals, numbered as in the mode shapes
+    gimbal: Indices  # index of the station of gimbals, as in the mode shapes
     gimbal_station_m: Numbers
     gimbal_offset_y_m: Numbers
     gimbal_offset_z_m: Numbers
@@ -55,12 +55,12 @@ class Engine:
     rest_y: Numbers
     rest_z: Numbers
     gimballed_mass_kg: Numbers
-    cg_from_gimbal_m: Numbers  # aft of the gimbal, along the engine's axis
-    inertia_kgm2: Numbers  # about the engine's own CG, taken as isotropic
+    cg_from_gimbal_m: Numbers  # aft of the gimbal, along the axis of the engine
+    inertia_kgm2: Numbers  # about the CG of the engine, assumed isotropic
     lever_x_m: Numbers
     lever_y_m: Numbers
     lever_z_m: Numbers
-    swings: Indices  # number of the engine's TVC load; -1: it follows its actuators
+    swings: Indices  # index of the engine's TVC load; -1: the engine follows its actuators
     exit_station_m: Numbers
     exit_y_m: Numbers
     exit_z_m: Numbers
@@ -68,14 +68,14 @@ class Engine:
     exit_zz_m2: Numbers
     exit_yz_m2: Numbers
     roll_arm_m: Numbers  # torque about the thrust axis per newton of thrust
-    flow_weight: Numbers  # mass flow per newton of the curve, relative to the other engines'
-    taken_as: Indices  # for each engine of the vehicle, the index of the engine here that includes it
+    flow_weight: Numbers  # mass flow per newton of the curve, relative to the other engines
+    taken_as: Indices  # index of the engine of this record that represents each engine of the vehicle
     parts: Numbers  # number of engines combined
 
 
 @dataclass
 class GimbalMotion:
-    """The gimbal angle in one plane with its derivatives."""
+    """The gimbal angle in one plane and its derivatives."""
 
     angle_rad: float
     rate_radps: float
@@ -88,7 +88,7 @@ class EngineOutputs:
 
     channel: Annotated[tuple[GimbalMotion, ...], (2 * MAX_ENGINES,)]  # pitch, yaw of each group
     thrust_N: Annotated[Array, _PER_ENGINE]
-    axial_thrust_N: float  # thrust of all engines at rest
+    axial_thrust_N: float  # sum of the thrusts along x with the engines at rest
 
 
 @kernel
@@ -114,7 +114,7 @@ def engine_axis_motion(e: Engine, k: int, pitch: GimbalMotion, yaw: GimbalMotion
 def thrust_axis_motion(
     pitch: float, pitch_rate: float, pitch_accel: float, yaw: float, yaw_rate: float, yaw_accel: float
 ) -> tuple[Vector, Vector, Vector]:
-    """Return the unit vector of the thrust in B with its first and second time derivative.
+    """Return the unit vector of the thrust in B, and its first and second time derivatives.
 
     Positive angles (rad) give positive pitch and yaw moments.
     """
@@ -132,20 +132,20 @@ def thrust_axis_motion(
 
 
 class Deflected(NamedTuple):
-    """A deflected engine at this instant, in B (m)."""
+    """A deflected engine at one instant, in B (m)."""
 
     axis: Vector  # unit vector of the thrust
     gimbal: Vector  # gimbal point relative to the core CG
-    delta: Vector  # engine CG relative to its rest position, and derivatives
+    delta: Vector  # engine CG relative to its rest position, and its derivatives
     delta_rate: Vector
     delta_accel: Vector
-    relative_rate: Vector  # angular velocity of the engine relative to the body, and derivative
+    relative_rate: Vector  # angular velocity of the engine relative to the body, and its derivative
     relative_accel: Vector
 
 
 @dataclass
 class KeptEngine:
-    """A Deflected as a record."""
+    """The values of `Deflected` as a record."""
 
     axis: Annotated[Array, (3,)]
     gimbal_m: Annotated[Array, (3,)]
@@ -177,7 +177,7 @@ def deflected_engine(
 
 @kernel
 def gimbal_point(e: Engine, k: int, properties: Array) -> Vector:
-    """Return the gimbal of engine k relative to the core CG, B, m."""
+    """Return the position of engine k's gimbal relative to the core CG, B, m."""
     return (
         properties[CORE_CG] - e.gimbal_station_m[k],
         e.gimbal_offset_y_m[k] - properties[CORE_CG + 1],
@@ -187,7 +187,7 @@ def gimbal_point(e: Engine, k: int, properties: Array) -> Vector:
 
 @kernel
 def put_deflected(kept: KeptEngine, engine: Deflected) -> None:
-    """Keep an engine beyond the first for the other parts of the derivative."""
+    """Store an engine after the first for the other parts of the derivative."""
     set_vector(kept.axis, 0, engine.axis)
     set_vector(kept.gimbal_m, 0, engine.gimbal)
     set_vector(kept.delta_m, 0, engine.delta)
@@ -219,9 +219,9 @@ def beside_axis(e: Engine, k: int) -> tuple[float, float]:
 
 @kernel
 def thrust(e: Engine, k: int, vacuum_thrust_N: float, ambient_pressure_Pa: float) -> float:
-    """Return the thrust of engine k against the ambient pressure, N.
+    """Return the thrust of engine k at the ambient pressure, N.
 
-    It is never negative, because so weak a flow separates from the nozzle.
+    It is never negative, because the flow would separate from the nozzle.
     """
     strength: float = max(e.thrust_factor[k] * vacuum_thrust_N - ambient_pressure_Pa * e.exit_area_m2[k], 0.0)
     return strength
@@ -229,7 +229,7 @@ def thrust(e: Engine, k: int, vacuum_thrust_N: float, ambient_pressure_Pa: float
 
 @kernel
 def total_thrust(e: Engine, sizes: Counts, properties: Array, ambient_pressure_Pa: float) -> float:
-    """Return the thrust of all engines at rest along the body axis, N."""
+    """Return the sum of the thrusts of all engines at rest along the body axis, N."""
     total: float = e.rest_x[0] * thrust(e, 0, properties[THRUST_VACUUM], ambient_pressure_Pa)
     for k in range(1, sizes.engines):
         vacuum_N = properties[thrust_column(sizes, e.curve[k])]
@@ -239,7 +239,7 @@ def total_thrust(e: Engine, sizes: Counts, properties: Array, ambient_pressure_P
 
 @kernel
 def flow_share(e: Engine, sizes: Counts, k: int, properties: Array) -> float:
-    """Return engine k's share of the mass flow."""
+    """Return the share of engine k in the mass flow."""
     if sizes.engines == 1:
         return 1.0
     own, total = 0.0, 0.0
@@ -251,7 +251,7 @@ def flow_share(e: Engine, sizes: Counts, k: int, properties: Array) -> float:
 
 
 class GroupRow(NamedTuple):
-    """The logged values of a group of engines, of a vehicle that has several."""
+    """The logged values of a group of engines, in a vehicle with several groups."""
 
     gimbal_group_axis_command_deg: Annotated[PitchYaw, "deg", "command to the actuators"]
     gimbal_group_axis_angle_deg: Annotated[PitchYaw, "deg", "gimbal angle"]
@@ -260,7 +260,7 @@ class GroupRow(NamedTuple):
 
 @kernel
 def group_row(further_groups: int, group: int, command_rad: Array, engines: EngineOutputs) -> GroupRow:
-    """Return the row of a group, nan throughout for a group that the stage does not have."""
+    """Return the row of a group; all values are nan for a group that the stage does not have."""
     if group > further_groups:
         none = PitchYaw(math.nan, math.nan)
         return GroupRow(none, none, none)
@@ -273,14 +273,14 @@ def group_row(further_groups: int, group: int, command_rad: Array, engines: Engi
 
 
 class EngineRow(NamedTuple):
-    """The logged values of an engine, of a vehicle that has several."""
+    """The logged values of an engine, in a vehicle with several engines."""
 
     thrust_engine_N: Annotated[float, "N", "thrust at ambient pressure"]
 
 
 @kernel
 def engine_row(e: Engine, number: int, engines: EngineOutputs) -> EngineRow:
-    """Return the row of an engine, nan for an engine that the stage does not have."""
+    """Return the row of an engine; the value is nan for an engine that the stage does not have."""
     if e.parts[number] == 0.0:
         return EngineRow(math.nan)
     return EngineRow(thrust_engine_N=engines.thrust_N[e.taken_as[number]] / e.parts[number])

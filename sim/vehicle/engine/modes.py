@@ -1,8 +1,8 @@
 """Coupling of deflected engines with the modes of a bent body (docs/model.md, sections 3, 4 and 7).
 
-An engine's momentum relative to the body acts on the modes at its gimbal, and the modes move the engine. While the body
-rolls, the momentum includes the displaced mass of the deflected engine, m_E p x cross Delta. Hence, with deflected
-engines, roll acceleration drives the modes, and modal accelerations drive the roll.
+The momentum of an engine relative to the body acts on the modes at its gimbal, and the modes move the engine. While the
+body rolls, the momentum includes the displaced mass of the deflected engine, m_E p x cross Delta. Hence, with deflected
+engines, roll acceleration excites the modes, and modal accelerations produce a roll moment.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from maxq.sim.vehicle.modes.spatial import Load, apply_spatial_load, spatial_mot
 
 @kernel
 def load_at_gimbal(e: Engine, k: int, force: Vector, couple: Vector) -> Load:
-    """Return the load on the section of engine k's gimbal of a force at that engine's CG at rest and a couple, B."""
+    """Return the load at engine k's gimbal from a force at the engine's CG at rest and a couple, in B."""
     aft, to_y, to_z = e.lever_x_m[k], e.lever_y_m[k], e.lever_z_m[k]
     beside_y, beside_z = beside_axis(e, k)
     about_x = couple[0] + (beside_y * force[2] - beside_z * force[1])
@@ -43,7 +43,7 @@ Rates = tuple[Vector, Vector]  # velocity (m/s) and angular rate (rad/s) of a st
 def gimbal_rates(sizes: Counts, properties: Array, gimbal: int, modes: Modes) -> Rates:
     """Return velocity (m/s) and angular rate (rad/s) of a station of gimbals due to the modes, in B.
 
-    Both are sums over the quasi-velocities, which include the roll rate's share.
+    Both are sums over the quasi-velocities, which include the contribution of the roll rate.
     """
     nu = modes.planar.nu_mps
     y, z, about_y, about_z = motion_at(sizes, properties, gimbal, nu, of_plane(sch.PITCH), of_plane(sch.YAW))
@@ -57,7 +57,7 @@ def gimbal_rates(sizes: Counts, properties: Array, gimbal: int, modes: Modes) ->
 def engine_velocity(e: Engine, k: int, rates: Rates) -> Vector:
     """Return the velocity of the CG of engine k at rest due to the modes (B, m/s), from the rates of its gimbal.
 
-    This is the transpose of `load_at_gimbal`.
+    This mapping is the transpose of `load_at_gimbal`.
     """
     velocity, turning = rates
     aft, to_y, to_z = e.lever_x_m[k], e.lever_y_m[k], e.lever_z_m[k]
@@ -73,11 +73,11 @@ def engine_velocity(e: Engine, k: int, rates: Rates) -> Vector:
 def modal_roll_response(
     e: Engine, of: Sizes, first: Vector, properties: Array, engines: KeptEngines, modes: Modes
 ) -> float:
-    """Set the accelerations of the modes per unit of roll acceleration (`roll_m`) with the engines deflected.
+    """Set the modal accelerations per unit of roll acceleration (`roll_m`) with the engines deflected.
 
-    `first`: displacement of the first engine's CG by its deflection (B, m). `engines` holds those of further ones.
-    Returns the reduction of the roll inertia (kg m2) by the compliance of the modes (docs/model.md, 7.3). `accel_mps2`
-    serves as a buffer for the forces.
+    `first`: displacement of the first engine's CG by its deflection (B, m); `engines` contains the further engines.
+    `accel_mps2` serves as a buffer for the forces. Returns the reduction of the roll inertia (kg m2) by the compliance
+    of the modes (docs/model.md, 7.3).
     """
     sizes = counts(of)
     if are_usual(sizes):

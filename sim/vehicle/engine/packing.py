@@ -1,4 +1,4 @@
-"""The engines of a stage in the form of the kernels: equal engines of a group combined, with their thrust curves."""
+"""The parameter record of a stage's engines, with equal engines of a group combined, and their thrust curves."""
 
 from __future__ import annotations
 
@@ -29,8 +29,11 @@ _thrust_axis_motion = from_python(thrust_axis_motion)
 class Alike:
     """Engines that move together and differ only in their lateral position.
 
-    The fields are the numbers of the engines in the stage, one of the engines, and its faults. The body is the first
-    one of several equal bodies. The last field contains the stations of the core that carry a booster.
+    - `numbers`: numbers of the engines in the stage.
+    - `one`: one of these engines.
+    - `faults`: faults of the engines.
+    - `body`: the first of several equal bodies.
+    - `attachments_m`: stations of the core to which the booster of these engines is attached.
     """
 
     numbers: tuple[int, ...]
@@ -41,12 +44,12 @@ class Alike:
 
     @property
     def curve(self) -> tuple[CsvTable, CsvTable | None, tuple[EngineFault, ...], int]:
-        """Return the table, the second table, the faults and the body from which the thrust over time follows."""
+        """Return the quantities that determine the thrust over time: table, throttle, faults and body."""
         return self.one.table, self.one.throttle, self.faults, self.body
 
     @property
     def mount(self) -> tuple[float, tuple[float, ...]]:
-        """Return the station of the gimbal, and the stations that carry a booster."""
+        """Return the station of the gimbal, and the stations to which the booster is attached."""
         return self.one.gimbal_station_m, self.attachments_m
 
 
@@ -57,12 +60,12 @@ class Cluster:
     alike: tuple[Alike, ...]
     groups: tuple[str, ...]
     mounts: tuple[tuple[float, tuple[float, ...]], ...]  # see `Alike.mount`
-    curves: tuple[Alike, ...]  # engines with different thrust curves
+    curves: tuple[Alike, ...]  # one representative for each thrust curve
 
 
 @cached_by_identity
 def cluster_of(stage: Stage, faults: tuple[EngineFault, ...]) -> Cluster:
-    """Return the cluster of a stage, with or without an engine."""
+    """Return the cluster of a stage, which is empty without an engine."""
     alike: list[Alike] = []
     bodies = _first_of_equal_bodies(stage, faults)
     for n, (engine, b) in enumerate(zip(stage.engines, stage.engine_bodies, strict=True)):
@@ -85,7 +88,7 @@ def cluster_of(stage: Stage, faults: tuple[EngineFault, ...]) -> Cluster:
 
 
 def _first_of_equal_bodies(stage: Stage, faults: tuple[EngineFault, ...]) -> list[int]:
-    """Return for each body the first one whose engines burn in the same way, which is itself if it has a fault."""
+    """Return for each body the first body that burns in the same way, or itself if it has a fault."""
     numbers, out = stage.engine_bodies, [0]
     failed = {numbers[n] for n in range(len(numbers)) if any(fault.affects(n) for fault in faults)}
     for b, booster in enumerate(stage.booster, start=1):
@@ -97,7 +100,7 @@ def _first_of_equal_bodies(stage: Stage, faults: tuple[EngineFault, ...]) -> lis
 
 
 def thrust_curves(stage: Stage, burn: Burn, method: Method) -> list[Cubics]:
-    """Return the vacuum thrust over the clock of the schedule, N; zero without an engine."""
+    """Return the curves of vacuum thrust over the clock of the schedule, N; one zero curve without an engine."""
     curves = []
     bodies = stage.engine_bodies
     for each in cluster_of(stage, burn.faults).curves:
@@ -112,7 +115,7 @@ def thrust_curves(stage: Stage, burn: Burn, method: Method) -> list[Cubics]:
 
 
 def during(table: Cubics, begin_s: float, end_s: float) -> Cubics:
-    """Return a table that is zero before and after these times."""
+    """Return a table that is zero before `begin_s` and from `end_s` on."""
     marks = [begin_s - 1.0, begin_s, *([end_s, end_s + 1.0] if math.isfinite(end_s) else [])]
     merged = merge([table, fit(marks, np.zeros((len(marks), 1)))])
     out = merged.coefficients[:, :, :-1].copy()
@@ -121,11 +124,11 @@ def during(table: Cubics, begin_s: float, end_s: float) -> Cubics:
 
 
 def on_clock(table: Cubics, burn: Burn, engine: int | None = None) -> Cubics:
-    """Convert a table over the tables' clock to the schedule's clock, times the thrust share of an engine if given.
+    """Convert a table from the tables' clock to the schedule's clock, times the thrust share of an `engine`, if given.
 
     The two clocks differ if engines are throttled or fail. Each interval has the cubic with the values and slopes at
-    both ends. It is exact where the rate of the clock and the share are constant, and otherwise accurate to the fourth
-    order of the interval's length (`burn.table_clock`).
+    both ends. The result is exact where the rate of the clock and the share are constant, and otherwise accurate to the
+    fourth order of the interval's length (`burn.table_clock`).
     """
     clock = burn.clock
     if clock is None:
@@ -160,9 +163,9 @@ def on_clock(table: Cubics, burn: Burn, engine: int | None = None) -> Cubics:
 
 
 class Mount(NamedTuple):
-    """A station of gimbals: its share of the thrust, and the moment of the mass that hangs on it.
+    """A station of gimbals: its share of the thrust, and the first moment of the mass supported there.
 
-    `attachments_m`: stations of the core that carry the booster of these engines.
+    `attachments_m`: stations of the core to which the booster of these engines is attached.
     """
 
     station_m: float
@@ -191,7 +194,7 @@ def _hanging_kgm(e: Given) -> float:
 
 
 def swinging(stage: Stage, cluster: Cluster, switches: Switches) -> tuple[int, ...]:
-    """Return the indices of the `Cluster.alike` that swing on a TVC load."""
+    """Return the indices of the engines in `Cluster.alike` that have a TVC load."""
     if not (switches.tvc_load and switches.engine_inertia):
         return ()
     loads = stage.tvc_loads
@@ -199,7 +202,7 @@ def swinging(stage: Stage, cluster: Cluster, switches: Switches) -> tuple[int, .
 
 
 def pack_engines(stage: Stage, burn: Burn, switches: Switches) -> Engine:
-    """Return the record of all engines; without an engine it is zero except for an axis."""
+    """Return the record of all engines; without an engine it is zero except for the thrust axis."""
     columns: dict[str, Any] = {f.name: np.zeros(MAX_ENGINES) for f in fields(Engine)}
     for name in ("curve", "group", "gimbal", "taken_as", "swings"):
         columns[name] = np.zeros(MAX_ENGINES, np.int64)
@@ -265,7 +268,7 @@ def _columns(stage: Stage, cluster: Cluster, alike: Alike, switches: Switches) -
 
 
 def thrust_slopes(e: Given) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the change of the thrust's direction (B) per radian of pitch and yaw angle, about the engine at rest."""
+    """Return the change of the thrust direction (B) per radian of pitch and of yaw angle, for the engine at rest."""
     pitch, yaw = (math.radians(angle) for angle in e.cant_deg)
     return _thrust_axis_motion(pitch, 1.0, 0.0, yaw, 0.0, 0.0)[1], _thrust_axis_motion(pitch, 0.0, 0.0, yaw, 1.0, 0.0)[
         1
@@ -274,9 +277,9 @@ def thrust_slopes(e: Given) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 @cached_by_identity
 def _flow_of_body(stage: Stage, body: int) -> float:
-    """Return the mass that a body expels over the impulse of its engines, weighted with `_flow_per_newton`.
+    """Return the mass that a body expels divided by the impulse of its engines, weighted with `_flow_per_newton`.
 
-    With it the flow of a stage with boosters is divided between them in proportion to thrust. It is 1 without boosters.
+    This factor divides the flow of a stage with boosters between the bodies. It is 1 without boosters.
     """
     if not stage.booster:
         return 1.0
@@ -289,7 +292,7 @@ def _flow_of_body(stage: Stage, body: int) -> float:
 
 
 def _flow_per_newton(e: Given) -> float:
-    """Return the mass flow per newton of the mean thrust.
+    """Return the mean mass flow per newton of mean thrust, kg/(N s).
 
     It is 1 if the engine's table has no flow, which then follows the thrust.
     """

@@ -1,4 +1,4 @@
-"""The engines and roll thrusters of a stage, as in the vehicle file."""
+"""The schema of the engines and roll thrusters of a stage in the vehicle file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ THRUST_COLUMNS = Columns(
 THROTTLE_COLUMNS = Columns("time_s", sets=(("throttle",),), not_negative=("throttle",), begins_by=0.0)
 
 
-_LARGEST_EXPONENT = 2.0  # of the effect of temperature on the burn rate
+_LARGEST_EXPONENT = 2.0  # limit of the exponent of the burn rate's temperature factor
 
 GimbalPlanes = Literal["both", "pitch", "yaw", "fixed"]
 
@@ -69,7 +69,7 @@ class EngineSection(Section):
 
     @property
     def burn_factor(self) -> float:
-        """Return the burn rate relative to the table, by deviation and temperature."""
+        """Return the burn rate relative to the table, from deviation and temperature."""
         warmer_K = self.propellant_temperature_K - self.reference_temperature_K
         return self.mass_flow_factor * math.exp(self.temperature_sensitivity_1pK * warmer_K)
 
@@ -90,7 +90,7 @@ class EngineSection(Section):
 
 
 class RollThrusters(Section):
-    """The on/off cold-gas thrusters about the roll axis, and in a coast before a restart about pitch and yaw."""
+    """The on/off cold-gas thrusters about the roll axis and, in a coast before a restart, about pitch and yaw."""
 
     torque_Nm: Positive = Field(description="torque of one direction while on, N m")
     pitch_yaw_torque_Nm: Positive | None = optional(

@@ -6,9 +6,9 @@ inertial forces are those of the line mass under the computed accelerations, inc
 rate, from the contents of `aux` and `work` after the derivative. Without stations they cost one comparison per step.
 
 Signs are those of the loads on the part forward of the cut. Axial force is positive in tension, and shear along +y, +z.
-The bending moment about +y is positive where it turns the nose up, so that it compresses the -z side (a beam with x
-forward and z down sags). The moment about +z is positive where it turns the nose to the right, so that it compresses
-the +y side.
+The bending moment about +y is positive if it turns the nose up, so that it compresses the -z side (a beam with x
+forward and z down sags). The moment about +z is positive if it turns the nose to the right, so that it compresses the
++y side.
 """
 
 from __future__ import annotations
@@ -33,29 +33,29 @@ from maxq.sim.vehicle.slosh.kernel import bob_mass, pendulum_length
 from maxq.sim.vehicle.state import N_PENDULUM, pendulum_index
 from maxq.sim.vehicle.workspace import Aux, Evaluation, Work
 
-# Quantities with limits, in the order of the extremes and of a station's limits. Forces and moments are magnitudes
-# over both planes.
+# Quantities with limits, in the order of the extremes and of a station's limits. Shears and moments are magnitudes over
+# both planes.
 KINDS = ("compression", "tension", "shear", "bending_moment", "equivalent_compression", "equivalent_tension")
 COMPRESSION, TENSILE, SHEAR, BENDING, EQUIVALENT_COMPRESSION, EQUIVALENT_TENSION = range(6)
 N_KINDS = len(KINDS)
 
-# Columns of the table over time: those of the whole line mass, then for every station
-TOTAL_MASS, TOTAL_FIRST, TOTAL_SECOND = 0, 1, 2  # the line mass: kg, kg m, kg m2 about the nose
+# Columns of the table over time: those of the whole line mass, then those of every station.
+TOTAL_MASS, TOTAL_FIRST, TOTAL_SECOND = 0, 1, 2  # of the whole line mass: kg, kg m, kg m2 about the nose
 STATIONS = 3
-MASS, FIRST, SECOND = 0, 1, 2  # parts forward of the station
-AXIAL_MASS = 3  # mass supported by the body forward of the station: liquid is supported by its tank's bottom
+MASS, FIRST, SECOND = 0, 1, 2  # of the parts forward of the station
+AXIAL_MASS = 3  # mass supported by the body forward of the station; liquid is supported by the bottom of its tank
 AXIAL_FIRST = 4
 RADIUS = 5  # radius of the equivalent axial load, m; 0: none
 LIMITS = 6  # limit of each kind; 0: none
 STATION_MODES = LIMITS + N_KINDS
-# then for each plane (once if both are alike) rows of `modes_of_planes` modes:
+# Then for each plane (once if both planes have the same modes) rows of `modes_of_planes` modes:
 INERTIA, INERTIA_MOMENT, AXIAL_MOMENT, DISPLACEMENT = 0, 1, 2, 3
 MODE_ROWS = 4
-# then for the spatial modes these rows for the motion along z and along y, and the inertia along x
+# Then for the spatial modes the same rows for the motion along z and along y, and the inertia along x.
 SPATIAL_ROWS = 2 * MODE_ROWS + 1
 MAX_LOAD_COLUMNS = STATIONS + MAX_LOAD_STATIONS * (STATION_MODES + (2 * MODE_ROWS + SPATIAL_ROWS) * MAX_MODES)
 
-# A section's loads, side by side
+# The loads of a section, in adjacent elements.
 AXIAL, SHEAR_Y, SHEAR_Z, MOMENT_Y, MOMENT_Z = range(5)
 SECTION_WIDTH = 5
 _EXTREMES = N_KINDS * MAX_LOAD_STATIONS  # number of extremes of a stage
@@ -65,16 +65,16 @@ _EXTREMES = N_KINDS * MAX_LOAD_STATIONS  # number of extremes of a stage
 class Loads:
     """The load stations of a stage, and the data for distributing its forces."""
 
-    stations: int  # 0: nothing is evaluated
+    stations: int  # 0: no section loads
     period_ns: int
-    coast: int  # 1: extremes are gathered without thrust as well
+    coast: int  # 1: extremes are also gathered without thrust
     alike: int  # 1: both planes have the same modes
-    table: TableRef  # over the stage's clock, columns as above
-    nose_m: float  # the body's ends, over which the rest of the aerodynamic force is spread
+    table: TableRef  # over the stage clock, columns as above
+    nose_m: float  # ends of the body, over which the rest of the aerodynamic force is spread
     tail_m: float
     station_m: Annotated[Array, (MAX_LOAD_STATIONS,)]
-    bottom_m: Annotated[Array, (MAX_PENDULUMS,)]  # station at which a tank's liquid hangs on the body
-    axial_points: int  # points of the axial aerodynamic force
+    bottom_m: Annotated[Array, (MAX_PENDULUMS,)]  # station at which the body supports the liquid of a tank
+    axial_points: int  # number of points at which the axial aerodynamic force acts
     axial_m: Annotated[Array, (MAX_SURFACES,)]
     axial_share: Annotated[Array, (MAX_SURFACES,)]
 
@@ -84,7 +84,7 @@ class SectionLoads:
     """The loads at the stations at the last evaluation, and their extremes so far."""
 
     at_ns: int  # time of `section`
-    due_ns: int  # next evaluation for the extremes
+    due_ns: int  # time of the next evaluation for the extremes
     mismatch: float  # largest relative difference between line mass and core so far
     mismatch_ns: int
     section: Annotated[Array, (SECTION_WIDTH * MAX_LOAD_STATIONS,)]
@@ -97,16 +97,17 @@ class SectionLoads:
 class Drivers(NamedTuple):
     """The inertial forces on the line mass at an instant: forces per kilogram (minus the acceleration), in B.
 
-    At a station x they are (x, y, z) + (x_per_m, y_per_m, z_per_m) (x_cg - x). The moments y, z are per kilogram.
+    At a station x they are (x, y, z) + (x_per_m, y_per_m, z_per_m) (x_cg - x). `moment` is about y and z, per kilogram.
     """
 
-    scale: float  # factor of the line mass: the core's mass over its sum
-    cg: Vector  # station, y, z of the core's CG
+    scale: float  # factor of the line mass: core mass over the sum of the line mass
+    cg: Vector  # station, y, z of the core CG
     force: Vector
     per_m: Vector
     moment: tuple[float, float]
     surfaces: int  # number of lifting parts with aerodynamic loads
-    spread: tuple[float, float, float, float]  # lateral force per metre: constant and slope along the body, y and z
+    # lateral force per metre along y and z: constant and slope along the body
+    spread: tuple[float, float, float, float]
 
 
 @formula
@@ -138,9 +139,9 @@ def evaluate_sections(
     columns: Array,
     out: SectionLoads,
 ) -> None:
-    """Write the loads at all stations to `out.section`, right after the derivative at `at`.
+    """Write the loads at all stations to `out.section`, immediately after the derivative at `at`.
 
-    `columns` is scratch memory.
+    `columns` is scratch memory, and contains the columns of the table afterwards.
     """
     sizes = counts(vehicle.sizes)
     interpolate_into(pool, loads.table, find_interval(pool, loads.table, clock_s), clock_s, columns, 0)
@@ -178,24 +179,28 @@ def _add(a: SectionLoad, b: SectionLoad) -> SectionLoad:
 
 @kernel
 def _of_point(station: float, x: float, force: Vector, y: float, z: float) -> SectionLoad:
-    """Return the load of a force forward of the cut, at the station x; (y, z) leads from the cut's centre to it."""
+    """Return the load of a force at station `x`, forward of the cut.
+
+    (y, z) is its position relative to the centre of the cut.
+    """
     ahead = station - x
     return force[0], force[1], force[2], z * force[0] - ahead * force[2], ahead * force[1] - y * force[0]
 
 
 @kernel
 def _drivers(loads: Loads, vehicle: StageRecord, sizes: Counts, at: Evaluation, work: Work, columns: Array) -> Drivers:
-    """Return the inertial forces on the line mass, which has the momentum of the core.
+    """Return the inertial forces on the line mass, scaled to the mass of the core.
 
-    They are scaled to the core's mass. The rate of angular momentum beyond that of the transverse motion, because
-    sections rotate too, becomes a uniform moment per kilogram.
+    They have the rates of momentum and angular momentum of the core. The difference between the rate of angular
+    momentum and that of the transverse motion alone, which is due to the rotation of the sections, becomes a uniform
+    moment per kilogram.
     """
     properties, y, _, aux = at
     mass, cg, rate = properties[CORE_MASS], vector_at(properties, CORE_CG), vector_at(y, W_BI_B)
     alpha, accel = vector_at(aux.alpha_BI_B_radps2, 0), vector_at(aux.specific_force_B_mps2, 0)
     inertia = symmetric_at(properties, CORE_INERTIA)
     momentum_rate = add(inertia_times(inertia, alpha), cross(rate, inertia_times(inertia, rate)))
-    if vehicle.jet_damping == 1:  # the propellant's Coriolis force is spread over the mass
+    if vehicle.jet_damping == 1:  # the Coriolis force of the propellant is spread over the mass
         jet_force, jet_moment = coriolis_of_outflow(sizes, rate, properties)
         accel = add(accel, scaled(-1.0 / mass, jet_force))
         momentum_rate = add(momentum_rate, scaled(-1.0, jet_moment))
@@ -215,12 +220,13 @@ def _drivers(loads: Loads, vehicle: StageRecord, sizes: Counts, at: Evaluation, 
 
 @kernel
 def _spread(loads: Loads, surfaces: int, cg: Vector, aux: Aux, work: Work) -> tuple[float, float, float, float]:
-    """Return the lateral force per metre, linear along the body, of the force and moment not due to the lifting parts.
+    """Return the lateral force per metre of the aerodynamic loads that are not due to lifting parts.
 
-    The remainder is due to cross-flow, damping and the coefficients of the whole vehicle.
+    It is linear along the body, with the force and the moment of cross-flow, damping and the coefficients of the whole
+    vehicle. The result contains constant and slope along y, then along z.
     """
     force_y, force_z = aux.aero_force_B_N[1], aux.aero_force_B_N[2]
-    # first moments about the body's nose; the axial force acts on the body axis, not at the CG
+    # First moments about the nose of the body; the axial force acts on the body axis, not at the CG.
     arm = cg[0] - loads.nose_m
     first_y = arm * force_y - (aux.aero_moment_B_Nm[2] - cg[1] * aux.aero_force_B_N[0])
     first_z = arm * force_z + (aux.aero_moment_B_Nm[1] + cg[2] * aux.aero_force_B_N[0])
@@ -240,9 +246,9 @@ def _spread(loads: Loads, surfaces: int, cg: Vector, aux: Aux, work: Work) -> tu
 
 @kernel
 def _surface_station(loads: Loads, surface: SurfaceLoad) -> float:
-    """Return the station at which a lifting part's force acts, limited to the body.
+    """Return the station at which the force of a lifting part acts, limited to the body.
 
-    A slope near zero can have its centre anywhere.
+    The limit is needed because a slope near zero can have its centre anywhere.
     """
     if surface.slope == 0.0:
         return loads.tail_m
@@ -268,7 +274,7 @@ def _inertia(
     in_pitch = c + STATION_MODES
     in_yaw = in_pitch + (1 - alike) * MODE_ROWS * m
     shift_y, shift_z = 0.0, 0.0
-    aside_y, aside_z = 0.0, 0.0  # mass times displacement by bending of the supported mass relative to the cut
+    aside_y, aside_z = 0.0, 0.0  # mass times displacement by bending relative to the cut, of the supported mass
     for i in range(m):
         eta, xi = planar.eta_m[of_plane(PITCH) + i], planar.eta_m[of_plane(YAW) + i]
         along_z = d.scale * (planar.accel_mps2[of_plane(PITCH) + i] + roll * planar.nu_mps[of_plane(YAW) + i])
@@ -296,7 +302,7 @@ def _spatial_inertia(
     shift_y, shift_z, aside_y, aside_z, modes = 0.0, 0.0, 0.0, 0.0, work.modes.spatial
     for i in range(n):
         eta, rate = modes.eta_m[i], modes.rate_mps[i]
-        # derivative of the modal coordinate itself: the quasi-velocities include the roll rate
+        # Second derivative of the modal coordinate itself; the quasi-velocities include the roll rate.
         accel = modes.accel_mps2[i] - roll_accel * modes.turned_m[i] - roll * modes.turned_rate_mps[i]
         along, across = d.scale * (accel - roll * roll * eta), d.scale * (2.0 * roll * rate + roll_accel * eta)
         in_z, in_y = first + i, first + MODE_ROWS * n + i
@@ -322,7 +328,7 @@ def _aerodynamic(
 ) -> SectionLoad:
     """Return the aerodynamic loads forward of a station.
 
-    Lifting parts act at their stations, the axial force by its shares, and the remainder is spread over the body.
+    Lifting parts act at their stations, the axial force acts at its points, and the remainder is spread over the body.
     """
     x = min(max(station - loads.nose_m, 0.0), loads.tail_m - loads.nose_m)
     beyond = station - loads.nose_m - x
@@ -357,7 +363,8 @@ def _of_pendulum(
 ) -> SectionLoad:
     """Return the load of a pendulum.
 
-    The rod pulls at its hinge, along the body at the tank's bottom, and the damper's force acts at the bob.
+    The rod acts at its hinge (laterally) and at the bottom of the tank (axially), and the damper's force acts at the
+    bob.
     """
     own, y = record_at(work.tank, tank), at.y
     first = pendulum_index(sizes, 0) + N_PENDULUM * tank
@@ -382,7 +389,10 @@ def _of_pendulum(
 def gather_sections(
     loads: Loads, sizes: Counts, stage: int, now_ns: int, mass: float, cg_m: float, columns: Array, out: SectionLoads
 ) -> None:
-    """Update the extremes with `out.section`, evaluated with `columns`."""
+    """Update the extremes of `stage` with `out.section`, evaluated with `columns`.
+
+    `mass` (kg) and `cg_m` (station) are those of the core, with which the line mass is compared.
+    """
     total = columns[TOTAL_MASS]
     apart = abs(columns[TOTAL_FIRST] / total - cg_m) / (loads.tail_m - loads.nose_m)
     mismatch = max(abs(total / mass - 1.0), apart)
@@ -415,7 +425,7 @@ class SectionRow(NamedTuple):
 
 @kernel
 def section_row(out: SectionLoads, stations: int, station: int) -> SectionRow:
-    """Return the row of a station, nan if the stage has fewer stations."""
+    """Return the row of a station; all values are nan if the stage has fewer stations."""
     if station >= stations:
         nothing = PitchYaw(math.nan, math.nan)
         return SectionRow(math.nan, nothing, nothing)

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from maxq.sim.scenario.schema_scenario import Scenario
     from maxq.sim.scenario.schema_vehicle import Stage
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)  # exact to the seventh power; mass times shape has the fifth
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)  # exact to degree 7; mass times shape has degree 5
 
 
 def pack_loads(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, pool: Pool) -> Loads:
-    """Return the section loads of a stage, or none unless they are switched on."""
+    """Return the section loads of a stage, without stations unless they are switched on."""
     given = stage.loads
     stations, bottoms = np.zeros(MAX_LOAD_STATIONS), np.full(MAX_PENDULUMS, -np.inf)
     places, shares = np.zeros(MAX_SURFACES), np.zeros(MAX_SURFACES)
@@ -84,7 +84,7 @@ def _table(
     spatial: SpatialModeTable | None,
     method: Method,
 ) -> Cubics:
-    """Return all columns over the stage's clock."""
+    """Return all columns over the stage clock."""
     planes = [pitch] if pitch is yaw else [pitch, yaw]
     modes = max((table.modes for table in planes if table is not None), default=0)
     sources = [liquid.table["time_s"] for liquid in loads.liquid]
@@ -115,17 +115,17 @@ class _Part(NamedTuple):
     """The masses at the nodes of a quadrature, at T times in n intervals (or points)."""
 
     x: Array  # stations (T, n, nodes), m
-    mass: Array  # alike, kg
-    rear: Array  # rear ends of the intervals (n,), rising, m
-    hangs: Array  # stations at which their weight hangs on the body (n,), rising, m
-    held: Array  # stations that carry them along x (T, n, nodes), m
+    mass: Array  # masses in the same shape, kg
+    rear: Array  # rear ends of the intervals (n,), increasing, m
+    hangs: Array  # stations at which the body supports their weight (n,), increasing, m
+    held: Array  # stations whose axial motion they follow (T, n, nodes), m
 
 
 class _Body:
-    """The line mass of the core at T times: dry parts between their ends, points, liquids between surface and bottom.
+    """The line mass of the core at T times: uniform dry parts, point masses, and liquids between surface and bottom.
 
-    The sloshing mass is not part of the core. The rest of a tank's liquid is spread over its column with a density
-    linear in the station, so that mass and CG are those of the column without its bob.
+    The sloshing mass is not part of the core. The rest of a tank's liquid is spread over its column. The density is
+    linear in the station, so that mass and CG are those of the column without its bobs.
     """
 
     def __init__(
@@ -177,9 +177,9 @@ class _Body:
         self.parts.append(_Part(x, weights * density, inside[1:], hangs, np.full_like(x, bottom)))
 
     def _forward(self, values: Sequence[Array], stations: Array, hanging: bool = False) -> Array:
-        """Return sums (T, stations, ...) of values at the masses of each part forward of the stations.
+        """Return the sums (T, stations, ...) of values over the masses of each part forward of the stations.
 
-        `hanging`: select the masses by the station that supports them.
+        With `hanging`, masses are selected by the station that supports them.
         """
         total: Array | float = 0.0
         for part, value in zip(self.parts, values, strict=True):
@@ -189,7 +189,7 @@ class _Body:
         return np.asarray(total)
 
     def rigid(self, stations: Array) -> list[Array]:
-        """Return the columns MASS to AXIAL_FIRST, each (T, stations)."""
+        """Return the columns MASS to AXIAL_FIRST, (T, stations) each."""
         powers = [[p.mass * p.x**k for p in self.parts] for k in range(3)]
         forward = [self._forward(power, stations) for power in powers]
         return [*forward, *(self._forward(power, stations, hanging=True) for power in powers[:2])]
@@ -197,7 +197,7 @@ class _Body:
     def modal(self, table: ModeTable, stations: Array) -> Array:
         """Return the rows INERTIA to DISPLACEMENT (T, stations, rows, modes) of one plane.
 
-        In the inertial forces the shapes exclude their rigid motion with respect to this line mass. Hence the modes do
+        In the inertial forces, the shapes exclude their rigid motion with respect to this line mass. Hence the modes do
         not change momentum and angular momentum, as in the equations of motion.
         """
         shapes = _Shapes(table, self.times, self.method)
@@ -221,7 +221,7 @@ class _Body:
         return np.stack([inertia, stations[:, None] * inertia - moment, aside, here], axis=2)
 
     def axial(self, table: SpatialModeTable, stations: Array) -> Array:
-        """Return mass times axial shape of the parts that are, or hang, forward of the stations (T, stations, modes).
+        """Return mass times axial shape of the parts supported forward of the stations, (T, stations, modes).
 
         The shapes exclude their mean motion with respect to this line mass, as in `modal`.
         """
@@ -237,7 +237,7 @@ class _Body:
         return self._forward(moved, stations, hanging=True)
 
     def _sum(self, values: Sequence[Array]) -> Array:
-        """Return sums (T, M) of mass times value over all parts."""
+        """Return the sums (T, M) of mass times value over all parts."""
         weighted = [(p.mass[..., None] * v).sum(axis=(1, 2)) for p, v in zip(self.parts, values, strict=True)]
         return np.asarray(sum(weighted))
 
@@ -267,14 +267,14 @@ class _Shapes:
 
 
 def _gauss(low: Array, high: Array) -> tuple[Array, Array]:
-    """Return nodes and weights (T, n, 4) between `low` and `high`, which have or broadcast to the shape (T, n)."""
+    """Return nodes and weights (T, n, 4) between `low` and `high`, whose shapes broadcast to (T, n)."""
     half = 0.5 * (np.asarray(high) - low)
     x = (0.5 * (np.asarray(high) + low))[..., None] + half[..., None] * _NODES
     return x, np.maximum(half, 0.0)[..., None] * _WEIGHTS
 
 
 def _limits(loads: schema.LoadsSection, stations: Array, times: Array) -> list[Array]:
-    """Return radius and limit of each kind, each (T, stations); 0 where there is none."""
+    """Return the radius and the limit of each kind, (T, stations) each; 0 where there is none."""
     table, shape = loads.limits, (len(times), len(stations))
     if table is None:
         return [np.zeros(shape)] * (1 + len(schema.BORNE))

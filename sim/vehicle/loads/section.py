@@ -1,4 +1,4 @@
-"""The section loads of a stage: the stations, the mass along the body, and the strength of its sections."""
+"""The schema of a stage's section loads: stations, mass along the body, and limits of the sections."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Liquid(Section):
 
 
 class LoadsSection(Section):
-    """The section loads by summation of forces, with switches.section_loads."""
+    """The section loads by summation of forces, evaluated with switches.section_loads."""
 
     stations_m: tuple[float, ...] = Field(
         min_length=1,
@@ -113,14 +113,14 @@ class LoadsSection(Section):
 
 
 def limit_times_s(table: CsvTable) -> NDArray[np.float64]:
-    """Return the times of a table of limits, increasing."""
+    """Return the times of a table of limits in increasing order."""
     return np.unique(table.get("time_s"))
 
 
 def check_loads(loads: LoadsSection, gimbal_station_m: float | None, tanks: Sequence[str]) -> None:
-    """Reject stations behind the foremost gimbal, and liquids that do not match the stage's tanks by name.
+    """Reject stations aft of the foremost gimbal, and liquids that do not match the stage's tanks by name.
 
-    `gimbal_station_m`: None for a stage without engines.
+    `gimbal_station_m` is None for a stage without engines.
     """
     if gimbal_station_m is not None and loads.stations_m[-1] > gimbal_station_m:
         raise refuse(
@@ -142,7 +142,7 @@ def check_loads(loads: LoadsSection, gimbal_station_m: float | None, tanks: Sequ
 def check_line_mass(loads: LoadsSection, mass: Mass, key: Path) -> None:
     """Reject line masses and liquids whose sum, CG or transverse inertia differs from that of the stage at any instant.
 
-    The check applies only where section loads are switched on. A campaign without them may disperse the mass of a stage
+    The check applies only if section loads are switched on: a campaign without them may disperse the mass of a stage
     freely. `key`: key of the stage, for the message.
     """
     known, columns = _mass_over_time(mass)
@@ -170,7 +170,7 @@ def check_line_mass(loads: LoadsSection, mass: Mass, key: Path) -> None:
 
 
 def _mass_over_time(mass: Mass) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
-    """Return times, and the mass, CG station, Iyy and Izz of the stage at them."""
+    """Return times, and the mass, CG station, Iyy and Izz of the stage at these times."""
     table = mass.table
     if table is not None:
         return table["time_s"], [table[name] for name in ("mass_kg", "x_cg_m", "Iyy_kgm2", "Izz_kgm2")]
@@ -182,10 +182,7 @@ def _mass_over_time(mass: Mass) -> tuple[NDArray[np.float64], list[NDArray[np.fl
 
 
 def moments(loads: LoadsSection, times: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """Return mass (kg), first (kg m) and second moment (kg m2) about station 0 at `times`.
-
-    They are those of line mass and liquids.
-    """
+    """Return mass (kg), first (kg m) and second moment (kg m2) about station 0 of line mass and liquids at `times`."""
     line = loads.line_mass
     parts = [(line["mass_kg"][:, None], line["front_station_m"][:, None], line["rear_station_m"][:, None])]
     for liquid in loads.liquid:

@@ -5,14 +5,14 @@
 A vehicle file may name such a file in place of a table of spatial modes. The modes are then those of one mass state,
 constant over time. The reader reads real eigenvectors (OUGV1, BOUGV1) and the summary of eigenvalues (LAMA) with their
 generalised masses. Positions and lumped masses (CONM2) come from the bulk data: GEOM1 and GEOM2 in the op2, the echo in
-the f06, or a .bdf, .dat or .nas file of the same name in the same folder. maxq has its own reader because pyNastran 1.4
+the f06, or a .bdf, .dat or .nas file of the same name in the same folder. This reader is needed because pyNastran 1.4
 requires a NumPy version below 2 and does not read f06 files. The reader is tested with files written by pyNastran.
 
 The model's basic system must have x aft from the nose, y right and z up, in metres and kilograms. Grid points and their
-displacements must be in this system. A grid point of the axis with a displacement system of its own (CD) is rejected,
-and other such points are ignored. Only grid points on the x axis are used. Points off the axis contribute to the
-generalised mass and not to the shapes, and their CONM2 counts at the nearest point of the axis. Modes below 0.1 Hz (the
-rigid body) are omitted.
+displacements must be in this system. A grid point of the axis with its own displacement system (CD) is rejected, and
+other such points are ignored. Only grid points on the x axis are used. Points off the axis contribute to the
+generalised mass but not to the shapes, and their CONM2 masses are added at the nearest point of the axis. Modes below
+0.1 Hz (the rigid body) are omitted.
 """
 
 from __future__ import annotations
@@ -42,20 +42,23 @@ _ON_AXIS_M = 1e-3
 
 @dataclass(frozen=True)
 class NastranModes:
-    """M modes at G grid points, in the model's basic system: x aft, y right, z up; m, rad per unit of the mode, kg."""
+    """M modes at G grid points, in the model's basic system: x aft, y right, z up.
+
+    Lengths are in m and masses in kg. Shapes are in m and rad per unit of the mode.
+    """
 
     frequency_hz: Floats  # (M,)
     generalized_mass_kg: Floats  # (M,)
     position_m: Floats  # (G, 3)
     shape: Floats  # (M, G, 6): T1 to T3, R1 to R3
-    lumped: Floats  # (L, 4) of the CONM2 cards: x, y, z (offset included), mass
-    inertia_x_kgm2: Floats  # (L,) of each of them about its own CG
+    lumped: Floats  # (L, 4) of the CONM2 cards: x, y, z (including the offset), mass
+    inertia_x_kgm2: Floats  # (L,) of each CONM2 mass about its own CG
 
 
 def read_nastran(file: str | FilePath) -> NastranModes:
     """Return the modes of an op2 or f06 file.
 
-    Raises the refusal of the schema, naming the file, if it contains none.
+    Raises the refusal of the schema, with the name of the file, if the file contains no modes.
     """
     path = FilePath(file)
     try:
@@ -138,7 +141,7 @@ def _from_op2(content: bytes) -> tuple[Values, Vectors, _Bulk]:
         raise ValueError("it begins with no Fortran record")
     for name, tables in _tables(content, order):
         if name in ("LAMA", "LAMAS", "BLAMA"):
-            for data in tables[1:]:  # behind the description of the results
+            for data in tables[1:]:  # after the description of the results
                 for row in struct.iter_unpack(order + "ii5f", data[: len(data) // 28 * 28]):
                     values[row[0]] = row[4], row[5]
         elif name in ("OUGV1", "BOUGV1", "OUGV1PAT", "OPHIG", "BOPHIG"):
@@ -163,7 +166,7 @@ def _from_op2(content: bytes) -> tuple[Values, Vectors, _Bulk]:
 
 
 def _rows(data: bytes, order: str, card: tuple[int, int], words: str) -> Iterator[tuple[Any, ...]]:
-    """Yield the cards of one kind in a record of the bulk data, none if the record holds other cards."""
+    """Yield the cards of one kind in a record of the bulk data; none if the record contains other cards."""
     size = struct.calcsize(order + words)
     if len(data) > 12 and struct.unpack_from(order + "3i", data)[:2] == card:
         yield from struct.iter_unpack(order + words, data[12 : 12 + (len(data) - 12) // size * size])
@@ -172,8 +175,8 @@ def _rows(data: bytes, order: str, card: tuple[int, int], words: str) -> Iterato
 def _tables(content: bytes, order: str) -> Iterator[tuple[str, list[bytes]]]:
     """Yield name and records of each data block, without the records of its description.
 
-    A block is a word 2 and its name. For each record k = 1, 2, ... follow the words -k, 1, 0, the number of words to
-    come (0 ends the block) and those words, in several parts if they are many.
+    A block is a word 2 and its name. For each record k = 1, 2, ... follow the words -k, 1, 0, the number of words in
+    the next part (0 ends the block) and those words; a long record has several parts.
     """
     at, record, name = 0, 0, ""
     markers: list[int] = []
@@ -201,7 +204,7 @@ def _tables(content: bytes, order: str) -> Iterator[tuple[str, list[bytes]]]:
             record, markers, parts = number, [], []
         else:
             markers.append(number)
-            if record == -1 and markers == [0]:  # behind the file's own label, before the first block
+            if record == -1 and markers == [0]:  # after the label of the file, before the first block
                 record, markers, name = 0, [], ""
             if record < -1 and len(markers) == 3 and number == 0:
                 if name:
@@ -230,13 +233,13 @@ def _from_f06(text: str) -> tuple[Values, Vectors, _Bulk]:
             cells = line.split()
             if len(cells) == 8 and cells[0].isdigit() and cells[1] == "G":
                 vectors.setdefault(mode, {})[int(cells[0])] = tuple(float(x) for x in cells[2:])
-    # the echo: number of the line in the deck, a hyphen, the card; its continuations begin with + or *
+    # The echo: line number in the deck, a hyphen, the card; continuations begin with + or *.
     echoed = (re.sub(r"^\s*\d+-\s{1,8}", "", line) for line in lines if re.match(r"\s*\d+-\s", line))
     return values, vectors, _bulk(echoed)
 
 
 def _bulk(lines: Iterable[str]) -> _Bulk:
-    """Read GRID and CONM2 cards: free field (commas), small field, or large field (NAME*), with their continuations."""
+    """Return the GRID and CONM2 cards: free field (commas), small field, or large field (NAME*), with continuations."""
     bulk, defaults = _Bulk({}, {}, []), ["", ""]
     cards = list(_cards(lines))
     for name, cells in cards:
@@ -253,7 +256,10 @@ def _bulk(lines: Iterable[str]) -> _Bulk:
 
 
 def _cards(lines: Iterable[str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield name and fields of each such card: 8 fields, then 8 of each continuation, blank if absent."""
+    """Yield name and fields of each GRDSET, GRID and CONM2 card.
+
+    There are 8 fields, then 8 of each continuation; absent fields are blank.
+    """
     name, cells = "", [""]
     for whole in lines:
         line = whole.split("$")[0].rstrip()
@@ -283,13 +289,13 @@ def _whole(cell: str) -> int:
 
 
 def _real(cell: str) -> float:
-    """Return a number in NASTRAN notation: 1.5, 1.5+3, 1.5D3, blank for 0."""
+    """Return a number in NASTRAN notation, such as 1.5, 1.5+3 or 1.5D3; 0 for a blank field."""
     text = re.sub(r"(?<=[\d.])([+-])", r"e\1", cell.strip().upper().replace("D", "E").replace("E", "e"))
     return float(text.replace("ee", "e")) if text else 0.0
 
 
 def spatial_columns(modes: Mapping[float, NastranModes], count: int = MAX_MODES) -> dict[str, list[float]]:
-    """Return the columns of a table of spatial modes: the `count` lowest modes of each time (s).
+    """Return the columns of a table of spatial modes: the `count` lowest modes at each time (s).
 
     `mass_forward_kg` is that of the CONM2 cards. It is zero if these cards do not represent the whole mass at every
     time. This is the case without cards, or if the shapes weighted with them give less than half or more than twice a
@@ -350,10 +356,10 @@ def _at_axis(given: NastranModes, on_axis: NDArray[np.int64]) -> tuple[Floats, F
 
 
 def _explains(given: NastranModes, on_axis: NDArray[np.int64], mass: Floats, rolling: Floats) -> bool:
-    """Return True if these are all masses.
+    """Return True if the lumped masses represent the whole mass.
 
-    The modes then have the generalised masses of the file within a factor of two. Without inertias about the axis only
-    the modes that do not twist are compared.
+    In that case the modes have the generalised masses of the file within a factor of two. Without inertias about the
+    axis, only the modes that do not twist are compared.
     """
     shape = given.shape[:, on_axis]
     twist = (rolling * shape[..., 3] ** 2).sum(axis=1)
@@ -365,9 +371,10 @@ def _explains(given: NastranModes, on_axis: NDArray[np.int64], mass: Floats, rol
 
 
 def _forward(mass: Floats) -> Floats:
-    """Return the mass forward of each station, including half of its own mass.
+    """Return the mass forward of each station, including half of the station's own mass.
 
-    At the last station it is the whole mass, and at the first the excess over a beam's end.
+    At the last station it is the whole mass. At the first station it is the station's mass minus half of the second
+    station's, and at least zero.
     """
     forward = np.cumsum(mass) - 0.5 * mass
     forward[0], forward[-1] = max(mass[0] - 0.5 * mass[1], 0.0), mass.sum()

@@ -22,8 +22,8 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 class Carried(NamedTuple):
     """The places that boosters carry.
 
-    `boosters`: stations of the core that carry each booster (`_Rigid`), and y and z of its axis, m. The others are the
-    body of each tank and of each surface: 0 the core, then the boosters.
+    - `boosters`: stations of the core to which each booster is attached (`_Rigid`), and y and z of its axis, m.
+    - `tanks`, `surfaces`: body of each tank and of each surface: 0 for the core, then the boosters from 1.
     """
 
     boosters: tuple[tuple[tuple[float, ...], tuple[float, float]], ...] = ()
@@ -31,25 +31,25 @@ class Carried(NamedTuple):
     surfaces: tuple[int, ...] = ()
 
     def of(self, bodies: tuple[int, ...], n: int) -> tuple[tuple[float, ...], tuple[float, float]]:
-        """Return the stations that carry part n, none on the core, and its y and z."""
+        """Return the stations to which the body of part n is attached (none on the core), and its y and z."""
         return self.boosters[bodies[n] - 1] if self.boosters and bodies[n] > 0 else ((), (0.0, 0.0))
 
 
 class Places(NamedTuple):
-    """Stations (m) at which modes act or are sensed."""
+    """The stations (m) at which modes act or are sensed."""
 
     mounts: tuple[Mount, ...]  # of engines
     gyro_m: float
     hinges_m: tuple[bytes, ...]  # hinge of each tank at each time (T,), as bytes
     surfaces_m: tuple[float, ...]
-    sensors_m: tuple[float, ...] = ()  # sensors beyond the gyro
+    sensors_m: tuple[float, ...] = ()  # of the sensors after the gyro
     carried: Carried = Carried()
 
 
 class ModeShapes:
-    """The shapes of the T times and M modes of a table: cubics with its `phi` and `slope_pm` at the stations.
+    """The shapes of a table's T times and M modes: cubics with its `phi` and `slope_pm` at the stations.
 
-    Beyond the first and last station the end cubics continue.
+    Beyond the first and last station, the end cubics continue.
     """
 
     def __init__(self, table: ModeTable) -> None:
@@ -69,14 +69,14 @@ class ModeShapes:
         return np.reshape(c1 + c2 * s * 2.0 + c3 * (s * s) * 3.0, (-1, *self._of))
 
     def _at(self, station_m: ArrayLike) -> tuple[Array, Array]:
-        """Return the distance (P, 1) into the interval of each station, and its coefficients (4, P, T M)."""
+        """Return the distance (P, 1) of each station into its interval, and the coefficients (4, P, T M)."""
         x, breaks = np.atleast_1d(np.asarray(station_m, float)), self._cubics.breaks
         k = np.clip(np.searchsorted(breaks, x, side="right") - 1, 0, len(breaks) - 2)
         return (x - breaks[k])[:, None], self._cubics.coefficients[k].transpose(1, 0, 2)
 
 
 class _Rigid:
-    """The shapes of a rigid booster that one station of the core clamps, or two stations hold at its ends."""
+    """The shapes of a rigid booster, clamped at one station of the core or held at its ends by two stations."""
 
     def __init__(self, core: ModeShapes, attachments_m: tuple[float, ...]) -> None:
         first, last = attachments_m[0], attachments_m[-1]
@@ -92,20 +92,22 @@ class _Rigid:
 
 
 def _on(core: ModeShapes, attachments_m: tuple[float, ...]) -> ModeShapes | _Rigid:
-    """Return the shapes of the core, or of a booster on it."""
+    """Return the shapes of the core, or of a booster attached to it."""
     return _Rigid(core, attachments_m) if attachments_m else core
 
 
 @lru_cache(maxsize=16)  # a campaign packs the same modes thousands of times; a table has two planes, or one for both
 def mode_values(table: ModeTable, shape: tuple[int, int], at: Places) -> Array:
-    """Return rows and lanes (`shape`) of a plane over the table's times, (T, rows times lanes)."""
+    """Return the schedule columns of a plane's modes over the table's times, (T, rows times lanes).
+
+    `shape`: rows and lanes."""
     (rows, padded_modes), n, shapes = shape, table.modes, ModeShapes(table)
     mounts, gyro_m, hinges_m, surfaces_m, sensors_m, carried = at
     of_mounts = [(_on(shapes, mount.attachments_m), mount.station_m) for mount in mounts]
     gimbals = [shape(x)[0] for on, x in of_mounts for shape in (on.value, on.slope)]
-    columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # each of them (times, modes)
+    columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # (times, modes) each
     columns += [*gimbals[:2], shapes.slope(gyro_m)[0]]
-    for k, hinge in enumerate(hinges_m):  # at each time the hinge of that time
+    for k, hinge in enumerate(hinges_m):  # the hinge position differs between times
         on = _on(shapes, carried.of(carried.tanks, k)[0])
         columns.append(np.diagonal(on.value(np.frombuffer(hinge))).T)
     for k, station in enumerate(surfaces_m):
@@ -122,7 +124,7 @@ def mode_values(table: ModeTable, shape: tuple[int, int], at: Places) -> Array:
 
 
 def _softening(table: ModeTable, shapes: ModeShapes, mounts: tuple[Mount, ...]) -> Array:
-    """Return the softening by the thrust of engines at several stations, each of which carries its share."""
+    """Return the softening by the thrust of engines at several stations, each with its share of the thrust."""
     first, *others = (_softening_up_to(table, shapes, mount) for mount in mounts)
     for other in others:
         first = first + other
@@ -130,17 +132,17 @@ def _softening(table: ModeTable, shapes: ModeShapes, mounts: tuple[Mount, ...]) 
 
 
 def _softening_up_to(table: ModeTable, shapes: ModeShapes, mount: Mount) -> Array:
-    """Return the reduction of the generalised stiffness per unit of axial acceleration by the axial load, kg/m.
+    """Return the reduction of the generalised stiffness by the axial load, per unit of axial acceleration, kg/m.
 
-    At each time (times, modes, modes) it is the integral of m_forward phi_i' phi_j' dx up to the gimbal, minus the
-    contribution of the engine behind it, which hangs in tension (docs/model.md, section 4). The axial force at a
-    station is the mass forward of it times the acceleration.
+    At each time, (times, modes, modes), it is the integral of m_forward phi_i' phi_j' dx up to the gimbal. The
+    contribution of the engine aft of the gimbal, which is in tension, is subtracted (docs/model.md, section 4). The
+    axial force at a station is the mass forward of it times the acceleration.
     """
     x, gimbal_m = table.station_m, mount.attachments_m[0] if mount.attachments_m else mount.station_m
     points, weights = gauss(np.unique(np.append(x[x < gimbal_m], gimbal_m)))
     slopes = shapes.slope(points).transpose(1, 2, 0)  # (times, modes, points)
     loads = [weights * np.interp(points, x, forward) for forward in table.mass_forward_kg]
-    # math.fsum, not a matrix product: BLAS rounds differently on each processor, which would change the flight
+    # math.fsum, not a matrix product: BLAS rounds differently on each processor, which would change the flight.
     matrices = np.array(
         [[[math.fsum(a * b * load) for b in slope] for a in slope] for slope, load in zip(slopes, loads, strict=True)]
     )
@@ -151,9 +153,9 @@ def _softening_up_to(table: ModeTable, shapes: ModeShapes, mount: Mount) -> Arra
 
 
 def gauss(breaks: Array) -> tuple[Array, Array]:
-    """Return points and weights of an integral over each interval, for polynomials of degree 7.
+    """Return points and weights of an integral over each interval, exact for polynomials of degree 7.
 
-    The first points of all intervals come first.
+    The order is the first points of all intervals, then the second points, and so on.
     """
     half = 0.5 * np.diff(breaks)
     points = 0.5 * (breaks[1:] + breaks[:-1]) + np.outer(_GAUSS_NODES, half)
@@ -198,14 +200,14 @@ def _spatial_on(
 
 @lru_cache(maxsize=16)
 def spatial_values(table: SpatialModeTable, at: Places, gyration_m2: float) -> Array:
-    """Return rows and lanes of the spatial modes over the table's times, (T, rows times M).
+    """Return the schedule columns of the spatial modes over the table's times, (T, rows times M).
 
-    `gyration_m2`: roll inertia per mass, for tables without its distribution.
+    `gyration_m2`: roll inertia per mass, for tables without a distribution of the roll inertia.
     """
     shapes = spatial_shapes(table)
-    columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # each of them (times, modes)
+    columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # (times, modes) each
     columns += [*shapes(at.gyro_m)[0]]
-    for k, hinge in enumerate(at.hinges_m):  # at each time the hinge of that time
+    for k, hinge in enumerate(at.hinges_m):  # the hinge position differs between times
         on = _spatial_on(shapes, *at.carried.of(at.carried.tanks, k))
         columns += [*np.diagonal(on(np.frombuffer(hinge)), axis1=0, axis2=2).transpose(0, 2, 1)]
     places = [(_spatial_on(shapes, *at.carried.of(at.carried.surfaces, k)), x) for k, x in enumerate(at.surfaces_m)]
@@ -218,11 +220,11 @@ def spatial_values(table: SpatialModeTable, at: Places, gyration_m2: float) -> A
 
 
 def _turning(table: SpatialModeTable, gyration_m2: float) -> Array:
-    """Return (T, M, M), entry [j, i]: the share A_ij of mode i in the shape of mode j turned by a right angle about x.
+    """Return (T, M, M), entry [j, i]: the share A_ij of mode i in the shape of mode j rotated by 90 deg about x.
 
     Method: least squares over the stations, weighted with their masses. The result is exact for any masses if the
-    turned shapes are sums of modes. It is made antisymmetric with the generalised masses, as the integrals of the
-    derivation are (docs/model.md, 4.7).
+    rotated shapes are sums of modes. It is made antisymmetric with the generalised masses, as are the integrals of the
+    derivation (docs/model.md, 4.7).
     """
     masses, rolling = _lumped(table, gyration_m2)
     x, y, z, about_x = (*np.moveaxis(table.displacement, -1, 0), table.rotation_pm[..., 0])
@@ -241,7 +243,7 @@ def _turning(table: SpatialModeTable, gyration_m2: float) -> Array:
 
 
 def _lumped(table: SpatialModeTable, gyration_m2: float) -> tuple[Array, Array]:
-    """Return mass and roll inertia at the stations, (T, S), from the table or from the mass forward of them."""
+    """Return mass and roll inertia at the stations, (T, S), from the table or from the mass forward of the stations."""
     mass = table.mass_kg
     if mass is None:
         between = np.maximum(np.diff(table.mass_forward_kg, axis=1), 0.0)
@@ -251,9 +253,9 @@ def _lumped(table: SpatialModeTable, gyration_m2: float) -> tuple[Array, Array]:
 
 
 def products(a: Array, b: Array, weight: Array) -> Array:
-    """Return weighted scalar products of the rows of `a` with those of `b`.
+    """Return the weighted scalar products of the rows of `a` with those of `b`.
 
-    math.fsum is used for the reason given in `_softening`.
+    They use math.fsum for the reason given in `_softening_up_to`.
     """
     return np.array([[math.fsum(weight * p * q) for q in b] for p in a])
 
@@ -262,7 +264,7 @@ def solved(matrix: Array, right: Array) -> tuple[Array, list[int]]:
     """Solve a positive definite system by Gaussian elimination.
 
     The result does not depend on the rounding of a linear-algebra library. The second result lists the redundant
-    unknowns, which remain zero.
+    unknowns, which are zero.
     """
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     m, x = matrix * np.outer(scale, scale), right * scale[:, None]

@@ -2,8 +2,8 @@
 
 Mode i of the pitch plane displaces the body axis by phi_i(x) eta_i along z and rotates it by +slope_i eta_i about y. In
 the yaw plane it displaces the axis by phi_i(x) xi_i along y and rotates it by -slope_i xi_i about z. The two planes
-rotate with the body. With the quasi-velocities nu (state.py) the kinetic energy is a plain sum of squares, and the roll
-rate appears only in the gyroscopic terms below (docs/model.md, section 4).
+rotate with the body. With the quasi-velocities nu (state.py), the kinetic energy is a plain sum of squares, and the
+roll rate appears only in the gyroscopic terms below (docs/model.md, section 4).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class PlanarMotion:
     rate_mps: PerPlanarMode  # its time derivative
     nu_mps: PerPlanarMode  # its quasi-velocity
     accel_mps2: PerPlanarMode  # time derivative of the quasi-velocity
-    roll_m: PerPlanarMode  # acceleration per roll acceleration with engines deflected
+    roll_m: PerPlanarMode  # acceleration per roll acceleration with deflected engines
 
 
 @dataclass
@@ -64,7 +64,7 @@ class Modes:
 
 @dataclass
 class GimbalBending:
-    """The motion of the first gimbal's station by bending, B."""
+    """The motion of the first gimbal's station due to bending, in B."""
 
     moved_y_m: float
     moved_z_m: float
@@ -89,17 +89,17 @@ def pack_spatial_modes(given: SpatialModesSection | None) -> SpatialModes:
 
 @kernel
 def of_plane(plane: int) -> int:
-    """Return where a modal quantity of the plane PITCH or YAW begins."""
+    """Return the index of the first mode of the plane PITCH or YAW in a modal quantity."""
     return plane * MAX_MODES
 
 
-# A plane holds up to MAX_MODES = 12 modes, processed four at a time without a loop: LLVM would unroll a loop of
-# unknown length for lengths that do not occur.
+# A plane has up to MAX_MODES = 12 modes, processed four at a time without a loop: LLVM would unroll a loop of unknown
+# length for lengths that do not occur.
 
 
 @kernel
 def modal_sum(sizes: Counts, properties: Array, row: int, quantity: Array, first: int) -> float:
-    """Return the sum over a plane's modes of a row of the schedule (its first column) times a modal quantity."""
+    """Return the sum over a plane's modes of a row of the schedule (at its first column) times a modal quantity."""
     total = 0.0
     if sizes.mode_groups > 0:
         total = _sum_of_four(properties, row, quantity, first)
@@ -159,7 +159,7 @@ def product_of_modes(sizes: Counts, a: Array, b: Array) -> float:
 
 @kernel
 def add_multiple_of_modes(sizes: Counts, of: Array, amount: float, quantity: Array) -> None:
-    """Add `amount` times the modal quantity `of` to another one, in both planes."""
+    """Add `amount` times the modal quantity `of` to `quantity`, in both planes."""
     for plane in (sch.PITCH, sch.YAW):
         add_to_modes(sizes, of, of_plane(plane), amount, quantity, of_plane(plane))
 
@@ -189,8 +189,8 @@ def _accelerate_four(properties: Array, r: int, force: Array, accel: Array, q: i
 def modal_state(sizes: Counts, roll_rate: float, y: Array, eta: int, xi: int, modes: PlanarMotion) -> None:
     """Compute `modes` from the states at y[eta:] (pitch plane) and y[xi:] (yaw plane).
 
-    The states are modal coordinates and quasi-velocities, from which d(eta)/dt and d(xi)/dt follow. The generalised
-    forces are set to zero.
+    The states are modal coordinates and quasi-velocities, from which d(eta)/dt and d(xi)/dt are computed. The
+    generalised forces are set to zero.
     """
     if sizes.mode_groups > 0:
         _state_of_four(sizes, 0, roll_rate, y, eta, xi, modes)
@@ -235,7 +235,7 @@ def modal_derivative(sizes: Counts, eta: int, xi: int, dy: Array, modes: PlanarM
 def gimbal_displacement(
     sizes: Counts, properties: Array, gimbal: int, modes: PlanarMotion
 ) -> tuple[float, float, float, float]:
-    """Return displacement along y and z (m) and rotation about y and z (rad) of a gimbal's station by bending."""
+    """Return displacement along y and z (m) and rotation about y and z (rad) of a gimbal's station due to bending."""
     return motion_at(sizes, properties, gimbal, modes.eta_m, of_plane(sch.PITCH), of_plane(sch.YAW))
 
 
@@ -243,7 +243,10 @@ def gimbal_displacement(
 def motion_at(
     sizes: Counts, properties: Array, gimbal: int, quantity: Array, pitch: int, yaw: int
 ) -> tuple[float, float, float, float]:
-    """Return the motion of the same kind for another modal quantity, of the pitch and of the yaw plane's modes."""
+    """Return the sums that `gimbal_displacement` returns, for another modal quantity.
+
+    `pitch`, `yaw`: indices at which the modes of the pitch and yaw planes begin in `quantity`.
+    """
     phi = sch.gimbal_row(sizes, gimbal)
     return (
         modal_sum(sizes, properties, sch.mode_column(sizes, sch.YAW, phi), quantity, yaw),
@@ -255,7 +258,7 @@ def motion_at(
 
 @kernel
 def bending_rate_at_gyro(sizes: Counts, properties: Array, modes: PlanarMotion) -> tuple[float, float]:
-    """Return the angular rate about y and z that bending adds at the gyro, rad/s."""
+    """Return the angular rate about y and z due to bending at the gyro, rad/s."""
     return (
         modal_sum(
             sizes, properties, sch.mode_column(sizes, sch.PITCH, sch.MODE_SLOPE_GYRO), modes.nu_mps, of_plane(sch.PITCH)
@@ -279,10 +282,10 @@ def apply_gimbal_load(sizes: Counts, properties: Array, gimbal: int, load: Load,
 
 @kernel
 def elastic_forces(bending: Bending, sizes: Counts, properties: Array, axial_load: float, modes: PlanarMotion) -> float:
-    """Add stiffness, damping and axial softening to the generalised forces.
+    """Add stiffness, damping and axial softening to the generalised forces, and return their roll moment on the body.
 
-    Returns the roll moment of these internal forces on the body, which conserves the angular momentum about x. It is
-    not zero if the two planes differ in stiffness or if they damp a whirling motion.
+    The roll moment of these internal forces conserves the angular momentum about x. It is not zero if the two planes
+    differ in stiffness or if the forces damp a whirling motion.
     """
     k_soft = bending.softening_factor * axial_load
     roll = 0.0
@@ -302,9 +305,9 @@ def elastic_forces(bending: Bending, sizes: Counts, properties: Array, axial_loa
 def _elastic_forces_on_four(
     sizes: Counts, plane: int, first: int, k_soft: float, properties: Array, modes: PlanarMotion
 ) -> float:
-    """Add these forces on four modes of one plane.
+    """Add the forces of `elastic_forces` on four modes of one plane.
 
-    Returns the sum of their forces times the other plane's coordinates.
+    Returns the sum of these forces times the coordinates of the other plane.
     """
     s = sch.derived_column(sizes, plane, sch.MODE_STIFFNESS) + first
     d = sch.derived_column(sizes, plane, sch.MODE_DAMPING) + first
@@ -333,11 +336,11 @@ def _elastic_forces_on_four(
 def gyroscopic_forces(
     sizes: Counts, properties: Array, gimbal: int, rate: Vector, engines: Load, modes: PlanarMotion
 ) -> Vector:
-    """Add the roll-rate coupling of the two planes, and return the moment of the modes on the body.
+    """Add the roll-rate coupling of the two planes, and return the moment on the body of the modes' momentum about x.
 
-    The moment is that of their angular momentum about x. `engines` is the momentum of the engines at a gimbal's station
-    relative to the body, and its moment about the axis at this station (`rigid.engine_momentum`). Both enter the modal
-    momenta (docs/model.md, eq. 4.1). The modes' own momentum counts at the first station only.
+    `engines` is the momentum of the engines at a gimbal's station relative to the body, and its moment about the axis
+    at this station (`rigid.engine_momentum`). Both enter the modal momenta (docs/model.md, eq. 4.1). The modes' own
+    momentum is included at the first station only.
     """
     p, q, r = rate
     mass, apart = sch.mode_column(sizes, sch.PITCH, sch.MODE_MASS), sch.mode_rows(sizes) * sch.padded_modes(sizes)
@@ -377,7 +380,10 @@ class BendingRow(NamedTuple):
 
 @kernel
 def put_modes(row: Array, column: int, y: Array, first: int, count: int, logged: int) -> int:
-    """Write `logged` modes of one plane, nan for those beyond the stage's `count`."""
+    """Write the rows of `logged` modes of one plane, and return the next column.
+
+    The values are nan for modes that the stage, with `count` modes, does not have.
+    """
     for i in range(logged):
         if i < count:
             column = put(row, column, ModeRow(eta_mode_m=y[first + i], eta_mode_mps=y[first + count + i]))

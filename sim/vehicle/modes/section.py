@@ -1,4 +1,4 @@
-"""The bending modes of a stage, as in the vehicle file."""
+"""The schema of the bending modes of a stage in the vehicle file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from maxq.sim.vehicle.modes.tables import (
 
 
 def _ones(data: dict[str, Any]) -> tuple[float, ...]:
-    """Return the default of a factor for each mode."""
+    """Return the default of a factor per mode: 1 for each damping ratio."""
     return (1.0,) * len(data.get("damping_ratio", ()))
 
 
@@ -53,22 +53,22 @@ class BendingSection(Section):
             self.check_counts()
 
     def check_counts(self, at: Path = ()) -> None:
-        """Reject lists whose length is not the number of modes."""
+        """Reject lists whose length is not the number of modes; `at` is the path of the section."""
         _refuse_other_counts(self, max((t.modes for t in (self.pitch_modes, self.yaw_modes) if t), default=0), at)
 
     @property
     def pitch_modes(self) -> ModeTable | None:
-        """Return the modes of the pitch plane as arrays."""
+        """Return the modes of the pitch plane as arrays, or None."""
         return None if self.pitch is None else mode_table(self.pitch, ("pitch",))
 
     @property
     def yaw_modes(self) -> ModeTable | None:
-        """Return the modes of the yaw plane as arrays."""
+        """Return the modes of the yaw plane as arrays, or None."""
         return None if self.yaw is None else mode_table(self.yaw, ("yaw",))
 
 
 class SpatialModesSection(Section):
-    """The coupled three-dimensional free-free modes, in addition to planar ones; engine locked, no slosh masses."""
+    """The coupled three-dimensional free-free modes, in addition to planar modes; engine locked, no slosh masses."""
 
     table: Annotated[CsvTable, SPATIAL_COLUMNS] = Field(
         description="one row per time (or total mass), mode and station: displacement phi along, rotation theta about "
@@ -91,7 +91,7 @@ class SpatialModesSection(Section):
             self.check_counts()
 
     def check_counts(self, at: Path = ()) -> None:
-        """Reject lists whose length is not the number of modes."""
+        """Reject lists whose length is not the number of modes; `at` is the path of the section."""
         _refuse_other_counts(self, self.modes.modes, at)
 
     @property

@@ -1,11 +1,11 @@
 """Spatial modes: coupled three-dimensional free-free modes of the vehicle, engine locked and sloshing masses removed.
 
 Mode i displaces the point of the body axis at station x by the vector Phi_i(x) eta_i and rotates its section by
-Theta_i(x) eta_i, along and about all three axes of B. Hence bending in both planes, torsion and axial motion may be
-coupled. A planar mode of planar.py is the special case Phi = (0, 0, phi), Theta = (0, slope, 0) in pitch and Phi = (0,
-phi, 0), Theta = (0, 0, -slope) in yaw. The quasi-velocities nu = d(eta)/dt + p A eta include the rotation with the roll
-rate. A is the share of each mode in the shape of another one turned by a right angle about x (docs/model.md, section
-4).
+Theta_i(x) eta_i. Both vectors have components in all three axes of B. Hence bending in both planes, torsion and axial
+motion may be coupled. A planar mode of planar.py is the special case Phi = (0, 0, phi), Theta = (0, slope, 0) in pitch
+and Phi = (0, phi, 0), Theta = (0, 0, -slope) in yaw. The quasi-velocities nu = d(eta)/dt + p A eta include the rotation
+with the roll rate. A contains the share of each mode in the shape of another mode rotated by 90 deg about x
+(docs/model.md, section 4).
 
 A *place* is a station at which loads or sensors act (schedule.py). A load is six numbers: force (N) and moment (N m) in
 B on the section of its place. A motion is also six numbers: displacement and rotation.
@@ -29,7 +29,7 @@ SPATIAL_STATES = StateBlock(
 NU_SPATIAL_STATES = StateBlock({"nu_spatial_{}_mps": "m/s"}, "spatial_modes")
 
 PerSpatialMode = Annotated[Array, (MAX_MODES,)]
-Load = tuple[float, float, float, float, float, float]  # force and moment of B, or displacement and rotation
+Load = tuple[float, float, float, float, float, float]  # force and moment, or displacement and rotation, in B
 
 
 @kernel
@@ -55,7 +55,7 @@ class SpatialMotion:
     turned_m: PerSpatialMode  # A eta (eq. 4.7)
     turned_rate_mps: PerSpatialMode  # A d(eta)/dt
     momentum_Ns: PerSpatialMode  # contribution of the moving engine to the modal momentum
-    roll_m: PerSpatialMode  # acceleration per roll acceleration with engines deflected
+    roll_m: PerSpatialMode  # acceleration per roll acceleration with deflected engines
 
 
 @routine
@@ -114,10 +114,10 @@ def _spatial_motion(sizes: Counts, properties: Array, place: int, quantity: Arra
 
 @kernel
 def roll_defect(sizes: Counts, properties: Array, place: int, quantity: Array, turned: Array) -> Load:
-    """Return the motion of a place per roll rate beyond the quasi-velocities: (x cross Phi) eta - Phi A eta, eq. 4.9.
+    """Return the motion of a place per roll rate not included in the quasi-velocities: (x cross Phi) eta - Phi A eta.
 
-    `quantity`, `turned`: `eta_m` with `turned_m`, or their rates. The motion is zero if the turned shapes are modes
-    too.
+    `quantity`, `turned`: `eta_m` with `turned_m`, or their rates. The motion is zero if the rotated shapes are also
+    modes. Source: docs/model.md, eq. 4.9.
     """
     whole = spatial_motion(sizes, properties, place, quantity)
     held = spatial_motion(sizes, properties, place, turned)
@@ -141,7 +141,7 @@ def _apply_spatial_load(sizes: Counts, properties: Array, place: int, load: Load
 
 @routine
 def outer_spatial_load(sizes: Counts, properties: Array, place: int, load: Load, modes: SpatialMotion) -> Vector:
-    """Add the generalised forces of an external load (thrust, air, a pendulum) on the displaced place.
+    """Add the generalised forces of an external load (thrust, air, a pendulum) at the displaced place.
 
     Returns the moment on the body (B, N m) in addition to that of the force at the undisplaced place.
     """
@@ -155,7 +155,7 @@ def outer_spatial_load(sizes: Counts, properties: Array, place: int, load: Load,
 
 @routine
 def spatial_rate_at_gyro(sizes: Counts, roll_rate: float, properties: Array, modes: SpatialMotion) -> Vector:
-    """Return the angular rate (B, rad/s) that the modes add at the gyro."""
+    """Return the angular rate (B, rad/s) due to the modes at the gyro."""
     of_modes = spatial_motion(sizes, properties, sch.GYRO_PLACE, modes.nu_mps)
     defect = roll_defect(sizes, properties, sch.GYRO_PLACE, modes.eta_m, modes.turned_m)
     return (
@@ -167,9 +167,9 @@ def spatial_rate_at_gyro(sizes: Counts, roll_rate: float, properties: Array, mod
 
 @routine
 def spatial_elastic_forces(sizes: Counts, properties: Array, k_soft: float, modes: SpatialMotion) -> float:
-    """Add stiffness, damping and axial softening to the generalised forces.
+    """Add stiffness, damping and axial softening to the generalised forces, and return their roll moment on the body.
 
-    Returns their roll moment on the body.
+    `k_soft`: softening factor times axial load, m/s2.
     """
     roll = 0.0
     stiffness, damping = sch.spatial_derived(sizes, sch.MODE_STIFFNESS), sch.spatial_derived(sizes, sch.MODE_DAMPING)
@@ -185,10 +185,9 @@ def spatial_elastic_forces(sizes: Counts, properties: Array, k_soft: float, mode
 
 @routine
 def spatial_gyroscopic(sizes: Counts, properties: Array, rate: Vector, modes: SpatialMotion) -> Vector:
-    """Add the roll-rate coupling of the modes, and return their moment on the body (eq. 4.8).
+    """Add the roll-rate coupling of the modes, and return the moment on the body of their angular momentum about x.
 
-    The moment is that of their angular momentum about x. `momentum_Ns` holds the contribution of moving engines to the
-    modal momenta.
+    `momentum_Ns` contains the contribution of moving engines to the modal momenta. Source: docs/model.md, eq. 4.8.
     """
     p, q, r = rate
     mass, n = sch.spatial_column(sizes, sch.SPATIAL_MASS), sizes.spatial_modes
@@ -215,7 +214,7 @@ def free_spatial_accelerations(sizes: Counts, properties: Array, modes: SpatialM
 def spatial_along_rod(
     sizes: Counts, properties: Array, place: int, u: Vector, accel_mps2: Array, shapes: Array
 ) -> float:
-    """Store the shapes at a hinge along its rod `u`, and return its acceleration due to the modal accelerations."""
+    """Write the shapes at a hinge along its rod `u` to `shapes`, and return its acceleration due to `accel_mps2`."""
     n, c, total = sizes.spatial_modes, sch.place_column(sizes, place, 0), 0.0
     for i in range(n):
         along = properties[c + i] * u[0] + properties[c + n + i] * u[1] + properties[c + 2 * n + i] * u[2]
@@ -228,7 +227,7 @@ def spatial_along_rod(
 def spatial_compliance(sizes: Counts, properties: Array, shapes: Array, of_other: Array) -> float:
     """Return the acceleration of a hinge along its rod per newton of tension in another tank, 1/kg.
 
-    The shapes along both rods are given.
+    `shapes`, `of_other`: shapes at the two hinges along their rods.
     """
     inverse, total = sch.spatial_derived(sizes, sch.MODE_INVERSE_MASS), 0.0
     for i in range(sizes.spatial_modes):
@@ -238,7 +237,7 @@ def spatial_compliance(sizes: Counts, properties: Array, shapes: Array, of_other
 
 @routine
 def add_tension_to_spatial(sizes: Counts, properties: Array, shapes: Array, tension: float, accel_mps2: Array) -> None:
-    """Add the pull of a rod, with `shapes` along it, to the modal accelerations."""
+    """Add the effect of a rod's tension, with `shapes` along the rod, to the modal accelerations."""
     inverse = sch.spatial_derived(sizes, sch.MODE_INVERSE_MASS)
     for i in range(sizes.spatial_modes):
         accel_mps2[i] += tension * (shapes[i] * properties[inverse + i])

@@ -1,10 +1,10 @@
 """Mode tables: conversion from the long format to arrays, and checks of the shapes.
 
-The long format has one row per time, mode and station. Impossible mode shapes are rejected, and unlikely ones cause a
-warning, within limits derived from a good table. In the KSR-III table (44 stations, 3 modes, 25 times, from a
-finite-element beam), slopes deviate from the derivatives of the shapes by at most 0.8 %. Successive times agree to a
-modal assurance criterion of 0.997 and frequencies to 2 %. The mass forward gives 0.77 to 0.88 of the generalised
-masses, because it does not include the engine's inertia.
+The long format has one row per time, mode and station. Impossible mode shapes are rejected, and unlikely shapes cause a
+warning. The limits are derived from a good table (44 stations, 3 modes, 25 times, from a finite-element beam). In this
+table, slopes deviate from the derivatives of the shapes by at most 0.8 %. Successive times agree to a modal assurance
+criterion of 0.997 and in frequency to 2 %. The mass forward gives 0.77 to 0.88 of the generalised masses, because it
+does not include the engine's inertia.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SLOPE_DEVIATION, ASSURANCE, FREQUENCY_STEP, MASS_RATIO, ORTHOGONALITY = 0.2, 0.8
 """The limits beyond which a table causes a warning; see `mode_warnings`."""
 
 OVER_MASS = "total_mass_kg"
-"""The column in place of time_s: the vehicle's total mass while the stage flies, decreasing."""
+"""The column that may replace time_s: the total mass of the vehicle while the stage flies, decreasing."""
 
 MODE_COLUMNS = Columns(
     "time_s",
@@ -53,7 +53,7 @@ SPATIAL_COLUMNS = replace(
 
 @dataclass(frozen=True, eq=False)
 class _Modes:
-    """T times, M modes, S stations (metres aft of the nose).
+    """The common arrays of mode tables with T times, M modes and S stations (metres aft of the nose).
 
     Instances are compared by identity, so that derived results can be cached.
     """
@@ -78,7 +78,7 @@ class ModeTable(_Modes):
     phi: Floats  # (T, M, S)
     slope_pm: Floats  # (T, M, S), d(phi)/d(x_n)
     mass_forward_kg: Floats  # (T, S)
-    products: ClassVar[None] = None  # no masses are given at the stations
+    products: ClassVar[None] = None  # the table contains no masses at the stations
 
     @property
     def moved(self) -> Floats:
@@ -95,7 +95,7 @@ class ModeTable(_Modes):
 class SpatialModeTable(_Modes):
     """The spatial modes over time: displacements and rotations (T, M, S, 3) along and about x, y, z of B.
 
-    `mass_kg` and `roll_inertia_kgm2` (T, S) are lumped at the stations, or None if the file does not give them.
+    `mass_kg` and `roll_inertia_kgm2` (T, S) are lumped at the stations, or None if the file does not contain them.
     """
 
     displacement: Floats
@@ -106,35 +106,35 @@ class SpatialModeTable(_Modes):
 
     @property
     def moved(self) -> Floats:
-        """Return the displacements of each mode and those due to rotations about the axis, side by side (T, M, 4 S)."""
+        """Return the displacements of each mode, followed by those due to rotations about the axis, (T, M, 4 S)."""
         span = self.station_m[-1] - self.station_m[0]
         return np.concatenate([self.displaced, span * self.rotation_pm[..., 0]], axis=2)
 
     @property
     def displaced(self) -> Floats:
-        """Return the displacements without the contribution of rotations."""
+        """Return the displacements of each mode without those due to rotations, (T, M, 3 S)."""
         return np.concatenate([*np.moveaxis(self.displacement, -1, 0)], axis=2)
 
     @property
     def bent(self) -> tuple[tuple[Floats, Floats], ...]:
-        """Return the lateral displacement (T, M, S) and its nominal derivative over the stations."""
+        """Return the lateral displacement (T, M, S) of each plane, and its nominal derivative over the stations."""
         return tuple((plane.phi, plane.slope_pm) for plane in self.lateral())
 
     @property
     def products(self) -> Floats | None:
-        """Return the sum of mass times shape times shape, (T, M, M), if masses are given at the stations."""
+        """Return the sum of mass times shape times shape, (T, M, M), or None without masses at the stations."""
         if self.mass_kg is None:
             return None
         products = np.einsum("ts,tmsk,tnsk->tmn", self.mass_kg, self.displacement, self.displacement)
         if self.roll_inertia_kgm2 is not None:
             twist = self.rotation_pm[..., 0]
             return np.asarray(products + np.einsum("ts,tms,tns->tmn", self.roll_inertia_kgm2, twist, twist))
-        unknown = twisting(self)  # modes that twist cannot be checked without their inertia
+        unknown = twisting(self)  # modes that twist cannot be checked without the inertia
         own = np.einsum("tm,mn->tmn", self.generalized_mass_kg, np.eye(self.modes))
         return np.asarray(np.where(unknown[:, :, None] | unknown[:, None, :], own, products))
 
     def lateral(self) -> tuple[ModeTable, ModeTable]:
-        """Return the motion of the modes along y and along z, as those of a yaw plane and of a pitch plane."""
+        """Return the motion of the modes along y and along z, as that of a yaw plane and of a pitch plane."""
         phi, theta = self.displacement, self.rotation_pm
         given = self.time_s, self.station_m, self.frequency_hz, self.generalized_mass_kg
         return (
@@ -144,9 +144,9 @@ class SpatialModeTable(_Modes):
 
 
 def mode_table(table: CsvTable, at: Path = ()) -> ModeTable:
-    """Return the arrays of a mode table whose columns have been checked; `at` is its key.
+    """Return the arrays of a mode table whose columns have been checked; `at` is the path of its key.
 
-    Raises the refusal of the schema unless modes are numbered 1, 2, ... (at most 12) and each time has each mode at
+    Raises the refusal of the schema unless modes are numbered 1, 2, ... (at most 12), and each time has each mode at
     each station exactly once. Also raises it if frequency or generalised mass changes along the stations, or if the
     shapes are impossible.
     """
@@ -190,15 +190,15 @@ _SLACK = 1e-3
 def over_time(table: CsvTable, times_s: Floats, mass_kg: Floats, at: Path) -> CsvTable:
     """Return a table of modes over mass as a table over time.
 
-    Its rows are at the instants at which the stage has these masses. `times_s`, `mass_kg` (n,): the stage's mass on a
-    fine grid. A mass that stays constant for some time counts at the end of that time if it is the largest, else at its
-    start. Raises the refusal of the schema for masses that the stage never has.
+    Its rows are at the instants at which the stage has these masses. `times_s`, `mass_kg` (n,): mass of the stage on a
+    fine grid. If the mass is constant for some time, the instant is the end of that time for the largest mass, and its
+    start for any other mass. Raises the refusal of the schema for masses that the stage never has.
     """
     given, most, least = table[OVER_MASS], float(mass_kg.max()), float(mass_kg.min())
     outside = (given > most * (1.0 + _SLACK)) | (given < least * (1.0 - _SLACK))
     table.refuse_where(outside, OVER_MASS, "the stage never has this mass", f"{least:g} .. {most:g}", at=at)
     mass_kg = np.minimum.accumulate(mass_kg)
-    falls = np.diff(mass_kg, prepend=np.inf) < 0.0  # the first instants of the masses
+    falls = np.diff(mass_kg, prepend=np.inf) < 0.0  # the first instant of each mass
     falls[0] = False
     falls[int(np.flatnonzero(mass_kg >= most)[-1])] = True
     when = np.interp(-np.clip(given, least, most), -mass_kg[falls], times_s[falls])
@@ -251,7 +251,14 @@ def _arrays(
 
 
 def refuse_impossible(table: CsvTable, modes: ModeTable | SpatialModeTable, at: Path) -> None:
-    """Raise the refusal of the schema for slopes that are not those of the shapes, and for shapes that swap or flip."""
+    """Raise the refusal of the schema for impossible shapes.
+
+    These are:
+
+    - slopes with the opposite sign of the shapes' derivatives;
+    - shapes that change number or sign between times;
+    - shapes that are far from orthonormal with the masses at the stations.
+    """
     slope, _ = _slopes(modes)
     if (slope < 0.0).any():
         t, m = (int(i) for i in np.argwhere(slope < 0.0)[0])
@@ -337,7 +344,8 @@ def _mass_warnings(modes: ModeTable | SpatialModeTable) -> list[str]:
     square = modes.displaced.reshape(*given.shape, -1, len(modes.station_m)) ** 2
     middle = 0.5 * (square[..., 1:] + square[..., :-1]).sum(axis=2)
     ratio = (middle * between[:, None, :]).sum(axis=-1) / given
-    ratio = np.where(twisting(modes), np.maximum(ratio, 1.0), ratio)  # its inertia about x is not known
+    # the inertia about x of a twisting mode is unknown
+    ratio = np.where(twisting(modes), np.maximum(ratio, 1.0), ratio)
     if ratio.max() > MASS_RATIO or ratio.min() < 1.0 / MASS_RATIO:
         t, m = _largest(np.abs(np.log(np.maximum(ratio, 1e-300))))
         return [
@@ -359,19 +367,19 @@ def _largest(values: Floats) -> tuple[int, int]:
 
 
 _SHARE = 1e-4
-"""The least share of a plane in a mode's bending, squared; a plane with less is ignored."""
+"""The least share of a plane in the bending of a mode, squared; a plane with less is ignored."""
 
 
 def _slopes(modes: ModeTable | SpatialModeTable) -> tuple[Floats, Floats]:
-    """Return the correlation of slopes and differences of shapes, and their relative deviation, both (T, M).
+    """Return the correlation of slopes and differences of shapes, and their relative deviation, (T, M) each.
 
-    They are 1 and 0 for a mode that does not bend. The correlation is the smaller one of the planes, computed
-    separately, because the larger one of a coupled mode would hide a flipped plane.
+    They are 1 and 0 for a mode that does not bend. The correlation is the smaller of the two planes' correlations,
+    because in a coupled mode the plane with the larger motion would hide a wrong sign in the other.
     """
     h = np.diff(modes.station_m)
     d, s = np.stack([(np.diff(p, axis=2) / h, 0.5 * (q[..., 1:] + q[..., :-1])) for p, q in modes.bent], axis=1)
     both, shape, slope, apart = ((h * x).sum(axis=-1) for x in (d * s, d * d, s * s, (d - s) ** 2))  # (planes, T, M)
-    # what a displacement of a millionth of the largest would be
+    # the contribution of a displacement of one millionth of the largest
     least = (1e-6 * np.abs(modes.moved).max(axis=2)) ** 2 / max(float(h.sum()), 1e-300)
     bends = (shape > np.maximum(least, _SHARE * shape.sum(axis=0))) & (slope > 0.0)
     correlation = np.where(bends, both / np.sqrt(np.where(bends, shape * slope, 1.0)), 1.0)
@@ -390,9 +398,9 @@ def _alike(modes: ModeTable | SpatialModeTable) -> Floats:
 
 
 def _orthonormality(products: Floats, given: Floats) -> tuple[Floats, Floats]:
-    """Return the products of each mode with itself, and the largest with other modes, both (T, M).
+    """Return the product of each mode with itself, and its largest product with another mode, (T, M) each.
 
-    They are divided by the generalised masses.
+    The products are divided by the generalised masses.
     """
     root = np.sqrt(given)
     scaled = products / (root[:, :, None] * root[:, None, :])

@@ -1,14 +1,14 @@
-"""Sensors beyond the first gyro: rate gyros and an accelerometer, triads at stations of their own on the bent body.
+"""Sensors after the first gyro: rate gyros and an accelerometer, triads at their own stations on the bent body.
 
-A rate gyro is modelled as the first one (gyro.py). An accelerometer measures the specific force at its place, in its
-own axes, which bending turns (docs/model.md, section 2):
+A rate gyro is modelled as the first gyro (gyro.py). An accelerometer measures the specific force at its place, in its
+own axes, which rotate with the bent body (docs/model.md, section 2):
 
     f = a_C + alpha x rho + w x (w x rho) + 2 w x d' + d'',    f_sensor = f - theta x f,
 
-where a_C is the specific force of the body at the core CG, rho the vector from this CG to the displaced sensor, d its
-displacement by bending and theta its rotation. Engines and liquid act through a_C, alpha and the modal accelerations,
-which include their reactions. Both sensors have errors, second-order dynamics and an output whose integral over a
-sample the computer counts.
+where a_C is the specific force of the body at the core CG. The vector rho leads from this CG to the displaced sensor; d
+is the sensor's displacement by bending, and theta its rotation. Engines and liquid act through a_C, alpha and the modal
+accelerations, which include their reactions. Both kinds of sensor have errors and second-order dynamics, and the
+computer counts the integral of their output over a sample.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ SENSORS = StateBlock(
     },
     "sensors",
 )
-SENSOR_STREAM = 32  # of the noise generator: four sequences a sensor, of three axes and of its dropouts
+SENSOR_STREAM = 32  # streams of the noise generator: four sequences per sensor, for three axes and dropouts
 RATE_GYRO, ACCELEROMETER = 0, 1  # kinds
 _ROOT_HOUR = 60.0
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """A further sensor.
+    """A sensor after the first gyro.
 
     `triad`: errors and dynamics; the bias of an accelerometer is in m/s2, its noise in (m/s)/sqrt(s). `dropout`:
     probability that a sample does not reach the computer.
@@ -59,7 +59,7 @@ class Sensor:
 
 
 def pack_sensors(stage: Stage, ideal: bool) -> tuple[Sensor, ...]:
-    """Pack the sensors of a stage: its rate gyros, then its accelerometer, padded with unused ones."""
+    """Return the sensors of a stage: its rate gyros, then its accelerometer, padded with unused sensors."""
     none = Sensor(RATE_GYRO, 0.0, 0.0, pack_gyro(None, ideal=True))
     out = [Sensor(RATE_GYRO, each.station_m, each.dropout, pack_gyro(each, ideal)) for each in stage.rate_gyro]
     given = stage.accelerometer
@@ -101,7 +101,7 @@ def sense(
 
 @kernel
 def sensor_slots(k: int) -> int:
-    """Return the first slot of sensor k's faults."""
+    """Return the first fault slot of sensor k."""
     return SENSOR_FAULT + SENSOR_SLOTS * k
 
 
@@ -130,17 +130,16 @@ def force_at(
     properties: Array,
     modes: Modes,
 ) -> Vector:
-    """Return the specific force at a sensor, in axes that turn with the bent body, m/s2.
+    """Return the specific force at a sensor, in axes that rotate with the bent body, m/s2.
 
-    The quasi-velocities include the roll-rate part of the modes' own accelerations: with nu = d(eta)/dt + p A eta the
-    second derivative of eta is nu' - p' A eta - p A d(eta)/dt.
+    With nu = d(eta)/dt + p A eta, the second derivative of eta is nu' - p' A eta - p A d(eta)/dt.
     """
     pitch, yaw, p, p_dot = of_plane(PITCH), of_plane(YAW), rate[0], alpha[0]
     planar, spatial = modes.planar, modes.spatial
     moved_y, moved_z, about_y, about_z = motion_at(sizes, properties, place, planar.eta_m, pitch, yaw)
     speed_y, speed_z, _, _ = motion_at(sizes, properties, place, planar.rate_mps, pitch, yaw)
     accel_y, accel_z, _, _ = motion_at(sizes, properties, place, planar.accel_mps2, pitch, yaw)
-    # A eta: a mode in pitch turns into one in yaw
+    # A eta: the 90 deg rotation of a mode in pitch is a mode in yaw.
     turned_y, turned_z, _, _ = motion_at(sizes, properties, place, planar.eta_m, yaw, pitch)
     turning_y, turning_z, _, _ = motion_at(sizes, properties, place, planar.rate_mps, yaw, pitch)
     moved, speed, tilt = (0.0, moved_y, moved_z), (0.0, speed_y, speed_z), (0.0, about_y, about_z)
@@ -165,7 +164,7 @@ def force_at(
 
 
 class RateGyroRow(NamedTuple):
-    """The logged values of a rate gyro beyond the first."""
+    """The logged values of a rate gyro after the first."""
 
     gyro_number_axis_rate_degps: Annotated[RollPitchYaw, "deg/s", "output of the gyro"]
     gyro_number_axis_counted_degps: Annotated[RollPitchYaw, "deg/s", "computer input: mean over a sample"]

@@ -1,7 +1,7 @@
-"""The rate gyro of three axes: errors, second-order dynamics (29), and the angle that the converter counts.
+"""The rate gyro of three axes: errors, second-order dynamics (Lee, Ahn & Roh eq. 29), and the angle to be counted.
 
-The gyro is mounted on the bent body and measures the local angular rate: q + sum(slope nu_pitch) in pitch and r -
-sum(slope nu_yaw) in yaw (docs/model.md, section 2).
+The gyro is mounted on the bent body and measures the local angular rate (docs/model.md, section 2). It is q + sum(slope
+nu_pitch) in pitch and r - sum(slope nu_yaw) in yaw.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _AXES = ("roll", "pitch", "yaw")
 GYROS = StateBlock({"gyro_{}_radps": "rad/s", "gyro_{}_rate_radps2": "rad/s2"}, parts=_AXES)
 GYRO_ANGLES = StateBlock({"gyro_{}_rad": "rad"}, parts=_AXES)  # integral of the output since the last sample
-GYRO_STREAM = 16  # of the noise generator: one sequence an axis, 16 to 18
+GYRO_STREAM = 16  # streams of the noise generator: one sequence per axis, 16 to 18
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Gyro:
 
 
 def pack_gyro(given: GyroSection | None, ideal: bool) -> Gyro:
-    """Return the parameters from the stage's section `gyro`; None, a vehicle without one, gives an ideal gyro."""
+    """Return the parameters from the stage's section `gyro`; None (no gyro in the vehicle) gives an ideal gyro."""
     if given is None or ideal:
         station_m = given.station_m if given else 0.0
         return Gyro(station_m, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1)
@@ -83,9 +83,9 @@ def sensed_rate(g: Gyro, rate: Vector) -> Vector:
 
 @kernel
 def after_fault(faults: Array, lost: int, output: float) -> float:
-    """Return the output of a sensor's axis under faults, rad/s or m/s2, where `output` is that of a healthy sensor.
+    """Return the output of a sensor's axis under faults, rad/s or m/s2.
 
-    `lost`: first slot of its faults.
+    `output`: output of the healthy sensor. `lost`: first slot of its faults.
     """
     if faults[ANY_FAULT] == 0.0:
         return output
@@ -105,10 +105,7 @@ def outputs_after_fault(faults: Array, lost: int, y: Array, first: int) -> Vecto
 
 @kernel
 def gyro_derivative(g: Gyro, y: Array, first: int, sensed: Vector, faults: Array, dy: Array) -> None:
-    """Write the derivatives of the states and of the angle integrals that follow them.
-
-    There are two states per axis, from y[first] on.
-    """
+    """Write the derivatives of the states (two per axis from y[first] on) and of the angle integrals that follow."""
     for axis in range(3):
         output = lagged(g, y, first + 2 * axis, sensed[axis], dy)
         dy[first + 6 + axis] = output if g.ideal == 1 else after_fault(faults, GYRO_LOST + axis, output)
@@ -128,9 +125,9 @@ def lagged(g: Gyro, y: Array, i: int, sensed: float, dy: Array) -> float:
 
 @kernel
 def gyro_start(y: Array, first: int, rate: Vector) -> None:
-    """Set the steady state at the angular rate of the body (B, rad/s), without errors.
+    """Set the states to the steady state at the angular rate of the body (B, rad/s), without errors.
 
-    The angle integrals start at 0.
+    The angle integrals are not changed.
     """
     for axis in range(3):
         y[first + 2 * axis] = rate[axis]

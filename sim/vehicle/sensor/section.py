@@ -1,4 +1,4 @@
-"""The rate gyros and the accelerometer of a stage, as in the vehicle file."""
+"""The schema of the rate gyros and the accelerometer of a stage in the vehicle file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from maxq.sim.input.values import Fraction, NotNegative, Positive, Section, Trip
 
 
 class GyroSection(Section):
-    """The rate gyros, one per axis (paper, eq. 29)."""
+    """The rate gyros, one per axis (Lee, Ahn & Roh eq. 29)."""
 
     station_m: float = Field(description="station, m aft of the nose")
     omega_hz: Positive = Field(description="natural frequency, Hz")

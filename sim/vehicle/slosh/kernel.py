@@ -1,14 +1,14 @@
-"""Sloshing propellant: spherical pendulums, at any angle, coupled through the tension of their rods.
+"""Sloshing propellant: spherical pendulums at any angle, coupled through the tension of their rods.
 
-There is one pendulum for each flown slosh mode of a tank. Here and in `Sizes`, "tank" means one pendulum.
+There is one pendulum for each simulated slosh mode of a tank. Here and in `Sizes`, "tank" means one pendulum.
 
-The bob of mass m hangs on a massless rod of length L from a hinge on the bent body axis. Only the rod's tension and the
-damping act between bob and body. Damping is viscous and acts on the velocity of the bob relative to the adjacent point
-of the body. Its reaction acts on the body at that same point. Hence damping dissipates energy in any motion and
-conserves the angular momentum (docs/model.md, section 5). With the reaction at the hinge, as in eq. 27 of the paper,
-the moment arm of the damper would be lost.
+The bob of mass m hangs on a massless rod of length L from a hinge on the bent body axis. Only the tension of the rod
+and the damping act between bob and body. Damping is viscous and acts on the velocity of the bob relative to the
+adjacent point of the body. Its reaction acts on the body at that same point. Hence damping dissipates energy in any
+motion and conserves the angular momentum (docs/model.md, section 5). With the reaction at the hinge, as in Lee, Ahn &
+Roh eq. 27, the moment arm of the damper would be lost.
 
-accelerations.py solves for the tensions and all accelerations together, with the quantities in `TankWork` of every
+accelerations.py solves for the tensions and all accelerations together, from the quantities in `TankWork` of every
 tank.
 """
 
@@ -41,7 +41,7 @@ PENDULUMS = StateBlock(
 )
 N_PENDULUM = len(PENDULUMS.states)
 
-# 1 over the first Fourier coefficient of |cos|^(1/2) cos
+# the inverse of the first Fourier coefficient of |cos|^(1/2) cos
 RING_DRAG = 0.5 * math.sqrt(math.pi) * math.gamma(2.25) / math.gamma(1.75)
 
 
@@ -49,19 +49,20 @@ RING_DRAG = 0.5 * math.sqrt(math.pi) * math.gamma(2.25) / math.gamma(1.75)
 class TankWork:
     """A tank in one evaluation of the derivative; motion along x is due to spatial modes only."""
 
-    arm_m: Annotated[Array, (3,)]  # moment of a unit tension about the CG with the engine deflected, B
-    hinge_accel_mps2: Annotated[Array, (3,)]  # of the hinge, as far as independent of the accelerations sought, B
+    arm_m: Annotated[Array, (3,)]  # moment of a unit tension about the CG with deflected engines, B
+    hinge_accel_mps2: Annotated[Array, (3,)]  # of the hinge, without the contribution of the unknown accelerations, B
     shift_m: Annotated[Array, (3,)]  # displacement of the hinge by bending
     demand_mps2: float  # tension per bob mass at zero acceleration
     alpha_radps2pN: Annotated[Array, (3,)]  # angular acceleration of the body per unit tension
     hinge_m: Annotated[Array, (3,)]  # relative to the core CG without bending, B
     damping_mps2: Annotated[Array, (3,)]  # acceleration of the bob by damping, B
     asymmetry_m: Annotated[Array, (3,)]  # see `_plane_asymmetry`
-    damper_force_N: Annotated[Array, (3,)]  # of the damper on the bent axis
+    damper_force_N: Annotated[Array, (3,)]  # force of the damper on the bent axis
     bending_accel_mps2: Annotated[Array, (3,)]  # of the hinge by bending
-    roll_bend_y_m: float  # acceleration of the hinge by planar modes per roll acceleration with engines deflected
+    roll_bend_y_m: float  # acceleration of the hinge by planar modes per roll acceleration with deflected engines
     roll_bend_z_m: float
-    bob_place_m: Annotated[Array, (3,)]  # relative to the core CG, B; this and the next only with `Slosh.exchange`
+    # relative to the core CG, B; this and the next field only with `Slosh.exchange`
+    bob_place_m: Annotated[Array, (3,)]
     bob_velocity_mps: Annotated[Array, (3,)]  # relative to the core CG, B
     shapes_along_rod: PerSpatialMode  # of spatial modes at the hinge
 
@@ -71,19 +72,19 @@ Tanks = tuple[TankWork, ...]
 
 @dataclass(frozen=True)
 class Slosh:
-    planes_differ: int  # 1: pitch and yaw modes have other shapes, or one plane has none
-    damping_ratio: Annotated[Array, (MAX_PENDULUMS,)]  # of the pendulum under the present axial acceleration
-    law: int  # 1: a pendulum's damping has more parts than its ratio
+    planes_differ: int  # 1: pitch and yaw modes have different shapes, or one plane has none
+    damping_ratio: Annotated[Array, (MAX_PENDULUMS,)]  # of the pendulum under the current axial acceleration
+    law: int  # 1: a pendulum has damping in addition to its ratio
     law_factor: Annotated[Array, (MAX_PENDULUMS,)]  # of the columns TANK_VISCOUS and TANK_RING
     ring_damping: Annotated[Array, (MAX_PENDULUMS,)]  # see column TANK_RING
-    breaking_height_m: Annotated[Array, (MAX_PENDULUMS,)]  # of a wave; 0: where it falls with the axial load
+    breaking_height_m: Annotated[Array, (MAX_PENDULUMS,)]  # of a wave; 0: that of linear theory (`wave_share`)
     exchange: int  # 1: mass exchanged between bob and core keeps its momentum
     place_y_m: Annotated[Array, (MAX_PENDULUMS,)]  # of the tank's axis from the body axis
     place_z_m: Annotated[Array, (MAX_PENDULUMS,)]
 
 
 def pack_slosh(pendulums: Sequence[Pendulum], bending: BendingSection | None, exchange: bool) -> Slosh:
-    """Return the parameters from the stage's pendulums (sim/vehicle/slosh/packing.py), and `bending` (or None)."""
+    """Return the parameters from the stage's pendulums (slosh/packing.py) and its section `bending` (or None)."""
     n = len(pendulums)
     zeta, height, factor, none = (np.full(MAX_PENDULUMS, x) for x in (0.0, 0.0, 1.0, 0.0))
     zeta[:n], height[:n] = [p.damping_ratio for p in pendulums], [p.breaking_height_m for p in pendulums]
@@ -117,7 +118,7 @@ def pendulum_start(y: Array, first: int, rate: Vector) -> None:
 
 @kernel
 def restore_pendulum(y: Array, first: int) -> None:
-    """Restore the length one of the unit vector, and make its derivative perpendicular to it."""
+    """Normalise the unit vector, and make its derivative perpendicular to it."""
     u = vector_at(y, first)
     scale = 1.0 / math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     u = (u[0] * scale, u[1] * scale, u[2] * scale)
@@ -143,8 +144,8 @@ def pendulum_loads(
 ) -> tuple[Vector, Vector]:
     """Fill `own` of a tank, and return the force and moment (about the core CG) of its damper, B.
 
-    The states of the pendulum are y[first:first+6]. `offset` is the vector from the core CG to the CG with the engine
-    deflected.
+    The states of the pendulum are y[first:first+6]. `offset` is the vector from the core CG to the CG with deflected
+    engines.
     """
     p, q, r = rate
     column, spatial = sch.tank_column(tank), modes.spatial
@@ -156,7 +157,7 @@ def pendulum_loads(
         slosh.place_z_m[tank] - properties[sch.CORE_CG + 2],
     )
     shift_y, shift_z, shift_rate_y, shift_rate_z, nu_y, nu_z = _bending_at_tank(sizes, tank, properties, modes.planar)
-    # velocity of the hinge by bending, with the rotation of the bent axis (docs/model.md, eq. 5.1)
+    # Velocity of the hinge due to bending, with the rotation of the bent axis (docs/model.md, eq. 5.1).
     bend = (q * shift_z - r * shift_y, nu_y, nu_z)
     asymmetry_y, asymmetry_z, asymmetry_rate_y, asymmetry_rate_z = 0.0, 0.0, 0.0, 0.0
     if slosh.planes_differ == 1:
@@ -186,7 +187,7 @@ def pendulum_loads(
     if sizes.spatial_modes > 0:
         accel = (accel[0] + p * asymmetry_rate_x, accel[1] + r * shift_rate_x, accel[2] - q * shift_rate_x)
     accel = (accel[0], accel[1] - p * asymmetry_rate_z, accel[2] + p * asymmetry_rate_y)
-    # with the liquid's surface the bob travels aft, which gives it a Coriolis acceleration
+    # The bob moves aft with the surface of the liquid, which causes a Coriolis acceleration.
     travel = 2.0 * properties[column + sch.TANK_TRAVEL]
     accel = (accel[0] + q * shift_rate_z - r * shift_rate_y, accel[1] - travel * r, accel[2] + travel * q)
     arm = cross((hinge[0] - offset[0], hinge[1] - offset[1], hinge[2] - offset[2]), u)
@@ -227,11 +228,11 @@ def pendulum_loads(
 def wall_and_ring_damping(
     slosh: Slosh, tank: int, length: float, axial_load: float, rate: float, properties: Array
 ) -> float:
-    """Return the damping of a smooth wall and ring baffles: acceleration over the swing rate `rate` (rad/s), m/s (5.8).
+    """Return the damping acceleration of a smooth wall and ring baffles over the swing rate, m/s (docs/model.md, 5.8).
 
-    zeta = viscous / a^(1/4) + ring sqrt(swing), as 2 zeta omega L. The drag of a ring grows with the 3/2-th power of
-    the velocity. RING_DRAG is chosen so that it dissipates as much energy as that ratio, at any amplitude of a plane
-    swing.
+    zeta = viscous / a^(1/4) + ring sqrt(swing), as 2 zeta omega L; `rate` is the swing rate, rad/s. The drag of a ring
+    grows with the 3/2-th power of the velocity. With the factor RING_DRAG it dissipates the same energy as that ratio,
+    at any amplitude of a plane swing.
     """
     column = sch.tank_column(tank)
     viscous = slosh.law_factor[tank] * properties[column + sch.TANK_VISCOUS]
@@ -247,14 +248,14 @@ def wall_and_ring_damping(
 def exchange_loads(
     slosh: Slosh, sizes: Counts, rate: Vector, properties: Array, y: Array, first: int, modes: Modes, tanks: Tanks
 ) -> tuple[Vector, Vector]:
-    """Return force and moment (about the core CG, B) on the core by the liquid exchanged between bobs and core.
+    """Return force and moment (about the core CG, B) on the core due to the liquid exchanged between bobs and core.
 
-    Liquid keeps the velocity of its origin. The mass that a bob loses exerts a force on the core and, at its place, on
-    the modes; the mass that a bob gains slows the bob down. `prepare_outflow` lets the flow enter the core at the rest
-    position of the bob. Together, linear momentum and the angular momentum about the common CG are constant, and no
-    energy is gained (docs/model.md, eqs. 8.2 and 8.3).
+    Exchanged liquid initially keeps its velocity. The mass that a bob loses exerts a force on the core and, at its
+    place, on the modes; the mass that a bob gains slows the bob down. In `prepare_outflow` the flow enters the core at
+    the rest position of the bob. Together, linear momentum and the angular momentum about the common CG are conserved,
+    and no energy is gained (docs/model.md, eqs. 8.2 and 8.3).
     """
-    drift = (0.0, 0.0, 0.0)  # of the common CG relative to the core CG
+    drift = (0.0, 0.0, 0.0)  # velocity of the common CG relative to the core CG
     share = properties[sch.schedule_width(sizes) + sch.INVERSE_TOTAL_MASS]
     for tank in range(sizes.pendulums):
         mass = bob_mass(properties, tank)
@@ -275,7 +276,7 @@ def exchange_loads(
         spin = cross(place, add(carried, scaled(-1.0, drift)))
         spin = add(spin, scaled(-1.0, cross(rest, add(rest_velocity, scaled(-1.0, drift)))))
         moment = add(moment, scaled(flow, spin))
-        if flow > 0.0:  # pushes the modes, by the velocity relative to the bent axis
+        if flow > 0.0:  # acts on the modes through the velocity relative to the bent axis
             _, _, shift_rate_y, shift_rate_z, _, _ = _bending_at_tank(sizes, tank, properties, modes.planar)
             by_modes = 0.0
             if sizes.spatial_modes > 0:
@@ -288,7 +289,7 @@ def exchange_loads(
             push_y, push_z = push[1] - flow * shift_rate_y, push[2] - flow * shift_rate_z
             own.damper_force_N[1] += push_y
             own.damper_force_N[2] += push_z
-            # the part of the roll moment that the modes take (docs/model.md, eq. 4.4)
+            # The modes take this part of the roll moment (docs/model.md, eq. 4.4).
             by_modes += (shift_y - own.asymmetry_m[1]) * push_z - (shift_z - own.asymmetry_m[2]) * push_y
             moment = (moment[0] - by_modes, moment[1], moment[2])
         else:
@@ -305,7 +306,7 @@ def exchange_loads(
 def _bending_at_tank(
     sizes: Counts, tank: int, properties: Array, modes: PlanarMotion
 ) -> tuple[float, float, float, float, float, float]:
-    """Return the displacement of a hinge by bending, its rate in B, and its quasi-velocity: y, z each."""
+    """Return the displacement of a hinge by bending, its rate in B, and its quasi-velocity, each along y and z."""
     in_pitch, in_yaw = (
         sch.mode_column(sizes, sch.PITCH, sch.MODE_FIRST + tank),
         sch.mode_column(sizes, sch.YAW, sch.MODE_FIRST + tank),
@@ -326,9 +327,9 @@ def _plane_asymmetry(
 ) -> tuple[float, float, float, float]:
     """Return the part of a hinge's displacement due to different planes: y, z (m), and the rates in B.
 
-    It is the displacement minus that with each plane's shapes in the other. The quasi-velocities include the roll rate
-    with the shapes of their own plane. If the planes differ, roll adds this displacement of the hinge (docs/model.md,
-    eq. 5.6).
+    It is the displacement minus that with the shapes of each plane in the other. The quasi-velocities include the roll
+    rate with the shapes of their own plane. If the planes differ, roll adds this displacement of the hinge
+    (docs/model.md, eq. 5.6).
     """
     in_pitch, in_yaw = (
         sch.mode_column(sizes, sch.PITCH, sch.MODE_FIRST + tank),
@@ -359,9 +360,9 @@ def pendulum_derivative(
     dy: Array,
     own: TankWork,
 ) -> None:
-    """Write the derivative of the states at y[first:first+6] once the body's accelerations are known.
+    """Write the derivative of the states at y[first:first+6], once the body's accelerations are known.
 
-    The pendulum of an empty tank is at rest: without mass it has no effect.
+    The states of an empty tank are constant, because a pendulum without mass has no effect.
     """
     if bob_mass(properties, tank) <= 0.0:
         for j in range(6):
@@ -407,7 +408,7 @@ class SloshRow(NamedTuple):
 def slosh_row(
     slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array, first: int, tension_N: Array
 ) -> SloshRow:
-    """Return the row of a pendulum, nan throughout for an empty tank and one that the stage does not have."""
+    """Return the row of a pendulum; all values are nan for an empty tank, and if the stage has no such pendulum."""
     if tank >= sizes.pendulums or bob_mass(properties, tank) <= 0.0:
         return SloshRow(math.nan, math.nan, math.nan, math.nan, math.nan)
     i = first
@@ -427,10 +428,10 @@ def slosh_row(
 
 @kernel
 def wave_share(slosh: Slosh, tank: int, properties: Array, lateral: float) -> float:
-    """Return the height of a wave divided by its breaking height, or 0 if this height is unknown.
+    """Return the height of a wave divided by its breaking height.
 
-    `lateral`: sine of the swing. By default a wave breaks if its surface falls with the axial load. In linear theory
-    this happens at the height of the pendulum's length.
+    `lateral`: sine of the swing. The result is 0 if the height of the wave is unknown. By default a wave breaks when
+    its surface accelerates aft at the axial load. In linear theory its height is then the length of the pendulum.
     """
     breaking = slosh.breaking_height_m[tank]
     if breaking == 0.0:
@@ -449,7 +450,7 @@ class WaveRow(NamedTuple):
 
 @kernel
 def wave_row(slosh: Slosh, sizes: Sizes, tank: int, properties: Array, y: Array, first: int) -> WaveRow:
-    """Return the row of a wave, nan as in `slosh_row` and for a tank without a shape."""
+    """Return the row of a wave; the value is nan as in `slosh_row`, and for a tank without a shape."""
     if tank >= sizes.pendulums or bob_mass(properties, tank) <= 0.0:
         return WaveRow(math.nan)
     wave = properties[sch.tank_column(tank) + sch.TANK_WAVE]

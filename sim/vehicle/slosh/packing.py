@@ -1,14 +1,14 @@
 """The pendulums of a stage's tanks over time: one for each slosh mode, with its damping and the height of its wave.
 
-A tank's table gives the pendulums, or its shape does (`slosh_modes`). In addition to mass, length and hinge, each
-pendulum has three columns of schedule.py, from which `sim/vehicle/slosh/kernel.py` computes damping and waves. If only
-a radius is given, their values are those of an upright cylinder:
+The pendulums are given by the table of the tank, or follow from its shape (`slosh_modes`). In addition to mass, length
+and hinge, each pendulum has three columns of schedule.py, from which `sim/vehicle/slosh/kernel.py` computes damping and
+waves. If only a radius is given, their values are those of an upright cylinder:
 
 - smooth wall: zeta a^(1/4), a the axial load. NASA SP-106, ch. 4 (Mikishev & Dorozhkin 1961), at the depth h:
   zeta = 0.79 sqrt(nu / sqrt(a R^3)) (1 + 0.318 / sinh(1.84 h/R) (1 + (1 - h/R) / cosh(1.84 h/R)))
 - ring baffles: zeta / sqrt(swing), by the law of `ring_damping`, summed over the rings below the surface
-- wave: height of the highest point of the surface per sine of the swing, 2 R / (xi^2 - 1) in the first mode: equal
-  moments of liquid and pendulum about the axis, rho pi R^3 eta / xi^2 and m L sin(swing)
+- wave: height of the highest point of the surface per sine of the swing, 2 R / (xi^2 - 1) in the first mode. The
+  moments about the axis of the liquid, rho pi R^3 eta / xi^2, and of the pendulum, m L sin(swing), are equal
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ if TYPE_CHECKING:
     from maxq.sim.scenario.schema_vehicle import Stage
 
 XI = (1.84118378134066, 5.33144277352503)  # first zeros of J1'
-WAVE_PER_SWING = (2.0 / (XI[0] ** 2 - 1.0), 0.122571)  # radii; of mode 2 inside, where J1 is largest
+# radii; that of mode 2 is not at the wall, but where J1 is largest
+WAVE_PER_SWING = (2.0 / (XI[0] ** 2 - 1.0), 0.122571)
 _FIRST_MODE = ("slosh_mass_kg", "pendulum_length_m", "hinge_station_m")
-_SHALLOWEST = 0.05  # depth in radii below which the damping of the wall keeps its value
-_INSTANTS = 200  # over a table of liquid, at least
+_SHALLOWEST = 0.05  # depth in radii below which the damping of the wall is constant
+_INSTANTS = 200  # least number of instants over a table of liquid
 _PASSING_S = 0.01  # half the time in which a ring leaves the liquid
 
 
@@ -46,8 +47,8 @@ class Pendulum:
     mode: int  # from 1
     joined: Cubics  # columns TANK_MASS to TANK_HINGE of schedule.py
     waves: Cubics  # columns TANK_VISCOUS to TANK_WAVE
-    body: int = 0  # of the stage: 0 is the core, then the boosters
-    place_m: tuple[float, float] = (0.0, 0.0)  # of the tank's axis from the body axis, y and z
+    body: int = 0  # number of the body in the stage: 0 is the core, then the boosters
+    place_m: tuple[float, float] = (0.0, 0.0)  # position of the tank's axis relative to the body axis, y and z
 
     @property
     def damping_ratio(self) -> float:
@@ -58,7 +59,7 @@ class Pendulum:
 
     @property
     def breaking_height_m(self) -> float:
-        """Return the breaking height of the wave that the tank states; 0 selects that of the linear theory."""
+        """Return the breaking height of the wave that the tank specifies; 0 selects that of linear theory."""
         return (self.tank.breaking_height_m or 0.0) if self.mode == 1 else 0.0
 
     @property
@@ -91,11 +92,12 @@ def pendulum_curves(tank: Tank, method: Method) -> list[tuple[Cubics, Cubics]]:
 
 
 def ring_damping(depth_r: float, cover: float, wave_r: float) -> float:
-    """Return the damping ratio of a ring baffle that covers the share `cover` of the surface, `depth_r` radii below it.
+    """Return the damping ratio of a ring baffle that covers the share `cover` of the surface.
 
-    `wave_r`: height of the wave at the wall in radii. The formula holds for an upright cylinder and the first mode, and
-    for narrow rings in waves shorter than their depth. It follows from the drag of a plate in oscillating flow of
-    Keulegan & Carpenter (Miles, J. Aero. Sci. 25, 1958; NASA SP-106, eq. 4.10).
+    `depth_r`: depth of the ring below the surface, radii. `wave_r`: height of the wave at the wall, radii. The formula
+    is valid for an upright cylinder and the first mode, and for narrow rings in waves lower than the depth of the ring.
+    It follows from the drag of a plate in oscillating flow of Keulegan & Carpenter (Miles, J. Aero. Sci. 25, 1958; NASA
+    SP-106, eq. 4.10).
     """
     return 2.83 * math.exp(-4.6 * depth_r) * math.pow(cover, 1.5) * math.sqrt(wave_r)
 
@@ -162,7 +164,7 @@ def _instants(
 ) -> Array:
     """Return the times (s) of a table, including those before and after each ring leaves the liquid.
 
-    There are at least `_INSTANTS` of them.
+    There are more than `_INSTANTS` times, unless the table has a single time.
     """
     if len(time_s) == 1:
         return time_s
@@ -178,7 +180,7 @@ def _instants(
 
 
 def _shallow(depth_r: Array) -> Array:
-    """Return the factor of the bottom in the damping of a smooth wall."""
+    """Return the factor of the bottom in the damping of a smooth wall; `depth_r` is the depth in radii."""
     deep = np.minimum(1.84 * depth_r, 300.0)
     return 1.0 + 0.318 / np.sinh(deep) * (1.0 + (1.0 - depth_r) / np.cosh(deep))
 
@@ -189,7 +191,10 @@ def _smooth(viscosity: float, length: Array, loss_1pm: Array) -> Array:
 
 
 def _rings(baffles: Baffles | None, radius: float, surface: Array, wave: Array) -> Array:
-    """Return the damping ratio per root of the swing; `surface` station and `wave` per swing over time."""
+    """Return the damping ratio of rings per root of the swing.
+
+    `surface` (station) and `wave` (per sine of the swing) are values over time.
+    """
     out = np.zeros(len(surface))
     if baffles is None:
         return out

@@ -1,4 +1,4 @@
-"""A tank with sloshing liquid: its pendulums as tables, or its shape from which they follow; damping, high waves."""
+"""The schema of a tank with sloshing liquid: pendulums from tables or from the tank's shape, damping and high waves."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TANK_COLUMNS = Columns(
     not_negative=("slosh_mass_kg", "slosh_mass_2_kg", "liquid_mass_kg", "liquid_height_m"),
     begins_by=0.0,
 )
-_LEAST_DOME = 0.25  # of the radius: a flatter dome gives shallow liquid a pendulum longer than the tank
+_LEAST_DOME = 0.25  # of the radius: with a flatter dome, shallow liquid has a pendulum longer than the tank
 
 
 class Profile(NamedTuple):
@@ -64,7 +64,7 @@ class Profile(NamedTuple):
 
 
 def check_domes(profile: Profile, radius_m: float, key: str = "dome_m") -> None:
-    """Reject domes that are too flat, or higher than the tank; `key` gives their heights."""
+    """Reject domes that are too flat, or higher than the tank; `key` is the key of their heights."""
     for dome in (profile.bottom, profile.top):
         if dome < 0.0 or 0.0 < dome < _LEAST_DOME:
             least = _LEAST_DOME * radius_m
@@ -121,7 +121,7 @@ class Tank(Section):
 
     @property
     def profile(self) -> Profile:
-        """Return the shape in radii, or an upright cylinder as deep as any liquid if none is given."""
+        """Return the shape in radii; without a shape, an upright cylinder."""
         radius = self.radius_m or 1.0
         height = (self.height_m or 2.0 * radius) / radius
         if self.shape in ("sphere", "ellipsoid"):
@@ -131,12 +131,12 @@ class Tank(Section):
 
     @property
     def pendulums(self) -> int:
-        """Return the number of slosh modes that are flown."""
+        """Return the number of simulated slosh modes."""
         return self.modes or (2 if SECOND_MODE[0] in self.table else 1)
 
     @property
     def shows_waves(self) -> bool:
-        """Return True if the log has the height of the tank's waves."""
+        """Return True if the log contains the height of the tank's waves."""
         return self.shape is not None or self.baffles is not None or self.viscosity_m2ps is not None
 
     def _check(self) -> None:

@@ -11,9 +11,10 @@ With sigma = int x phi dS and tau = int phi^2 dS over the surface, a mode acts o
     length  1 / kappa,    mass  rho kappa sigma^2 / tau,    bob at  z_b = int (z phi_x - x phi_z) dV / (kappa sigma)
 
 (force and moment of the mode's pressure under lateral and angular acceleration of the tank; Abramson (ed.), NASA
-SP-106, ch. 6; Faltinsen & Timokha, Sloshing, 2009, ch. 5). The bob's displacement L sin(swing) has the first moment of
-the liquid's displacement. Hence the highest point of the surface is sigma max|f| / tau times the sine of the swing
-above rest. For an upright cylinder these are the closed forms of SP-106; in a sphere every hinge is its centre.
+SP-106, ch. 6; Faltinsen & Timokha, Sloshing, 2009, ch. 5). The mass of the bob times its displacement L sin(swing) is
+the first moment of the liquid's displacement. Hence the highest point of the surface above rest is sigma max|f| / tau
+times the sine of the swing. For an upright cylinder these are the closed forms of SP-106; in a sphere every hinge is at
+the centre.
 
 The damping of a smooth wall is that of a laminar layer on it,
 
@@ -37,13 +38,13 @@ from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import Cubics, hermite
 from maxq.sim.vehicle.slosh.section import Profile
 
-DEEPEST = 5.0  # radii below the surface: tanh(5 xi) is 1 to 1e-8
+DEEPEST = 5.0  # radii below the surface: tanh(5 xi) is 1 within 1e-8
 MEASURED_OVER_LAMINAR = 1.42
-FULLEST = 0.98  # of the height of a top dome: above, the length and the wave per swing keep their values
-_FLATTEST = 0.25  # depth in radii below which the length over a flat bottom, which has no bound, keeps its value
+FULLEST = 0.98  # share of the height of a top dome above which the length and the wave per swing are constant
+_FLATTEST = 0.25  # depth in radii below which the length over a flat bottom, which would be unbounded, is constant
 _SHALLOWEST = 0.01  # depth in radii at which the tables begin
-_DIGITS = 9  # digits kept: a linear-algebra library rounds the last ones differently on each processor
-_RADIAL = 7  # polynomials
+_DIGITS = 9  # number of digits: a linear-algebra library rounds the last digits differently on each processor
+_RADIAL = 7  # number of polynomials
 
 
 class SloshMode(NamedTuple):
@@ -78,7 +79,7 @@ def slosh_modes(
     out, inward = 0.5 * (place + 1.0), 0.5 * share
 
     def basis(radius: Array, height: Array) -> tuple[Array, Array, Array, Array]:
-        """Return f, its derivatives along r and z, and f / r, (points, polynomials)."""
+        """Return f, its derivatives along r and z, and f / r, (points, polynomials) each."""
         across, up = radius / widest, 2.0 * (height - low) / (depth - low) - 1.0
         p, p_slope = _legendre(2.0 * across**2 - 1.0, radial)
         q, q_slope = _legendre(up, vertical)
@@ -126,7 +127,7 @@ def slosh_modes(
 
 
 def _legendre(x: Array, count: int) -> tuple[Array, Array]:
-    """Return Legendre polynomials at `x` and their derivatives, (points, count)."""
+    """Return Legendre polynomials at `x` and their derivatives, (points, count) each."""
     values, slopes, unit = np.empty((len(x), count)), np.zeros((len(x), count)), np.eye(count)
     values[:] = legendre.legvander(x, count - 1)
     for n in range(1, count):
@@ -163,7 +164,7 @@ def _wall(profile: Profile, low: float, high: float, points: int) -> tuple[Array
 
 
 class ModeAt(NamedTuple):
-    """A slosh mode over many depths, as `SloshMode`, and its length; (depths,) each."""
+    """A slosh mode over many depths, with the fields of `SloshMode` and its length; (depths,) each."""
 
     length: Array
     mass: Array
@@ -175,16 +176,16 @@ class ModeAt(NamedTuple):
 def modes_over(profile: Profile, depths: Array, modes: int) -> list[ModeAt]:
     """Return the lowest modes at `depths` (radii).
 
-    They are interpolated between solutions at some thirty depths, to 1e-3 of each value. In shallow liquid over a flat
-    bottom the length of mode n would be unbounded, so it keeps its value at a depth of R/4. In a top dome filled beyond
-    `FULLEST`, length and wave per swing keep their values, while the mass goes to zero.
+    They are interpolated between solutions at about thirty depths, to 1e-3 of each value. In shallow liquid over a flat
+    bottom the length of mode n would be unbounded; below a depth of R/4 it is constant. In a top dome filled beyond
+    `FULLEST`, length and wave per swing are constant, while the mass goes to zero.
     """
     knots, tables = _solutions(profile, modes)
     inside = np.clip(depths, knots[0], knots[-1])
     surface, held = profile.surface_radius(inside), profile.surface_radius(depths)
     volume = np.maximum(profile.volume(depths), 1e-300)
     out: list[ModeAt] = []
-    left = profile.volume(depths)  # volume of the liquid: the modes' masses are interpolated separately
+    left = profile.volume(depths)  # volume of the liquid, which bounds the sum of the masses interpolated separately
     for table in tables:
         kappa, mass, bob, wave, loss = table.at(inside).T
         steady = np.clip(depths, _FLATTEST, None) if profile.bottom == 0.0 else depths
@@ -208,7 +209,7 @@ def _narrowing(profile: Profile, depth: Array) -> Array:
 
 @lru_cache(maxsize=32)
 def _solutions(profile: Profile, modes: int) -> tuple[Array, tuple[Cubics, ...]]:
-    """Return depths, and for each mode cubics over them of quantities without singular ends."""
+    """Return depths, and for each mode cubics over them of quantities without singularities at the ends."""
     ends = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 16)))
     shallow = [0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4]
     above = profile.bottom + np.concatenate([shallow, np.geomspace(0.5, max(profile.wall, 1.0), 12)])
@@ -217,7 +218,7 @@ def _solutions(profile: Profile, modes: int) -> tuple[Array, tuple[Cubics, ...]]
     parts: list[Array] = [profile.bottom * ends, above[above < shoulder], np.array([shoulder]), top]
     knots = np.unique(np.maximum(np.concatenate(parts).round(12), _SHALLOWEST))
     columns = np.empty((modes, len(knots), 5))
-    with threadpool_limits(1):  # small matrices: threads only wait for each other
+    with threadpool_limits(1):  # the matrices are small, so that threads would only wait for each other
         for k, depth in enumerate(knots):
             at = np.array(depth)
             volume, surface = float(profile.volume(at)), float(profile.surface_radius(at))

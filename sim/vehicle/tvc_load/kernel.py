@@ -1,18 +1,18 @@
 """TVC load: the gimballed engine on the compliance of its actuators and mount, a degree of freedom in each plane.
 
 The engine turns about its gimbal relative to the bent body by its own angles (delta_p, delta_y). A spring and a damper
-connect it to the actuators' position. Acceleration of the gimbal, bending, slosh and the axial load therefore drive the
-engine in return (docs/model.md, section 14). The moment about its hinge is
+connect it to the position of the actuators. Acceleration of the gimbal, bending, slosh and the axial load therefore
+move the engine (docs/model.md, section 14). The moment about its hinge is
 
     -k (delta - delta_a) - c (delta' - delta_a') - k_b delta - T z,    theta z' = delta' - |delta'| z,
 
 where k_b is the stiffness of a flexible bearing, and the last term is Dahl's friction (P. R. Dahl, A Solid Friction
-Model, Aerospace TOR-158, 1968). T is the Coulomb torque, and theta the angle over which it builds up, so that the angle
-at 1 - 1/e of the torque does not depend on the rate. A stop of the engine's own angle is a stiff one-sided spring.
+Model, Aerospace TOR-158, 1968). T is the Coulomb torque. theta is the angle over which it builds up, so that the angle
+at 1 - 1/e of the torque does not depend on the rate. A stop of the engine's angle is a stiff one-sided spring.
 
-Per unit of an engine's angular acceleration a force, a moment and generalised modal forces act on the vehicle. By
+Per unit of an engine's angular acceleration, a force, a moment and generalised modal forces act on the vehicle. By
 reciprocity these give the effect of the vehicle's accelerations on the hinge. A load adds two unknowns to the small
-system of the pendulums' tensions (slosh.accelerate). The system is exact, and without loads it is unchanged.
+system of the pendulums' tensions (accelerations.py). The system is exact, and without loads it is unchanged.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ N_TVC_LOAD = len(TVC_LOADS.states)
 N_AXIS = N_TVC_LOAD // 2
 MAX_UNKNOWNS = MAX_PENDULUMS + 2 * MAX_TVC_LOADS
 
-STOP_FACTOR = 10.0  # stiffness of a stop over that of the spring, where nothing else is given
+STOP_FACTOR = 10.0  # default stiffness of a stop relative to that of the spring
 
 
 _PER_LOAD = (MAX_TVC_LOADS,)
@@ -83,11 +83,11 @@ LoadNumbers = Annotated[Array, _PER_LOAD]
 
 @dataclass(frozen=True)
 class TvcLoad:
-    """All TVC loads of a stage; `Sizes.tvc_loads` is their number."""
+    """The parameters of all TVC loads of a stage; `Sizes.tvc_loads` is their number."""
 
-    engine: Annotated[IntArray, _PER_LOAD]  # number of the engine, counted as in engine/kernel.py
+    engine: Annotated[IntArray, _PER_LOAD]  # number of the engine, as in engine/kernel.py
     stiffness_Nmprad: LoadNumbers
-    bearing_Nmprad: LoadNumbers  # of a flexible bearing, towards the engine's position at rest
+    bearing_Nmprad: LoadNumbers  # stiffness of a flexible bearing, towards the engine's position at rest
     damping_Nmsprad: LoadNumbers
     friction_Nm: LoadNumbers
     friction_angle_rad: LoadNumbers
@@ -100,23 +100,23 @@ class TvcLoad:
 
 @dataclass
 class TvcLoadOutputs:
-    """The auxiliary outputs of the TVC loads: pitch, yaw of each."""
+    """The auxiliary outputs of the TVC loads: pitch and yaw of each load."""
 
-    swing: Annotated[tuple[GimbalMotion, ...], (2 * MAX_TVC_LOADS,)]  # of the engine
-    actuator_rad: Annotated[Array, (2 * MAX_TVC_LOADS,)]  # position of its actuators
+    swing: Annotated[tuple[GimbalMotion, ...], (2 * MAX_TVC_LOADS,)]  # motion of the engine
+    actuator_rad: Annotated[Array, (2 * MAX_TVC_LOADS,)]  # position of the actuators
     actuator_radps: Annotated[Array, (2 * MAX_TVC_LOADS,)]
-    hinge_moment_Nm: Annotated[Array, (2 * MAX_TVC_LOADS,)]  # on the engine about its gimbal
+    hinge_moment_Nm: Annotated[Array, (2 * MAX_TVC_LOADS,)]  # moment on the engine about its gimbal
 
 
 @dataclass
 class Swing:
-    """An unknown, per unit of angular acceleration of the engine, 1/(rad/s2), in one evaluation of the derivative."""
+    """The effects of one unknown, per unit of angular acceleration of the engine, in one evaluation."""
 
     force_N: Annotated[Array, (3,)]  # on the vehicle, B
-    moment_Nm: Annotated[Array, (3,)]  # about the CG with the engine deflected, that through the modes included, B
+    moment_Nm: Annotated[Array, (3,)]  # about the CG with deflected engines, including the moment through the modes, B
     accel_mps2: Annotated[Array, (3,)]  # of that CG
     alpha_radps2: Annotated[Array, (3,)]  # angular acceleration of the body
-    known_Nm: float  # moment about the hinge without the accelerations sought
+    known_Nm: float  # moment about the hinge without the contribution of the unknown accelerations
     inertia_kgm2: float  # about the hinge
     planar_force_N: PerPlanarMode  # generalised forces on the modes, and the resulting accelerations
     planar_accel_mps2: PerPlanarMode
@@ -126,9 +126,9 @@ class Swing:
 
 @dataclass
 class System:
-    """The small system of tensions and angular accelerations of engines on a load, see accelerations.py."""
+    """The small system of tensions and angular accelerations of engines on a load (accelerations.py)."""
 
-    swing: Annotated[tuple[Swing, ...], (2 * MAX_TVC_LOADS,)]  # pitch and yaw of each load in turn
+    swing: Annotated[tuple[Swing, ...], (2 * MAX_TVC_LOADS,)]  # pitch and yaw of each load
     matrix: Annotated[Array, (MAX_UNKNOWNS * MAX_UNKNOWNS,)]  # row by row
     unknown: Annotated[Array, (MAX_UNKNOWNS,)]  # right-hand side, then tensions (N) and accelerations (rad/s2)
 
@@ -137,9 +137,9 @@ class System:
 def swing_engines(
     load: TvcLoad, e: Engine, sizes: Counts, y: Array, first: int, engines: EngineOutputs, out: TvcLoadOutputs
 ) -> None:
-    """Set angles and rates of engines on a load, and keep those of their actuators.
+    """Set angles and rates of engines on a load in `engines` and `out`, and write those of their actuators to `out`.
 
-    A group reports its first engine.
+    The values of a group are those of its first engine.
     """
     for k in range(sizes.tvc_loads):
         channel = 2 * e.group[load.engine[k]]
@@ -161,9 +161,8 @@ def hinge_moment(
 ) -> float:
     """Return the moment of spring, damper, bearing, friction and stop on an engine about its hinge, N m.
 
-    Its states are at y[i:i+3].
-
-    Within the play neither spring nor damper acts, and at its ends they only push.
+    The states of the engine in this plane are y[i:i+3]. Within the play neither spring nor damper acts, and at its ends
+    they only push.
     """
     moment: float = -load.friction_Nm[k] * y[i + 2]
     if load.bearing_Nmprad[k] > 0.0:
@@ -199,11 +198,11 @@ def prepare_loads(
     system: System,
     out: TvcLoadOutputs,
 ) -> None:
-    """Fill both unknowns of each load; their states are at y[states:].
+    """Compute both unknowns of each load, whose states are at y[states:].
 
-    - `first`: the first engine.
-    - `first_rates`: rates of its gimbal.
-    - `offset`: vector from the core CG to the CG with the engines deflected.
+    - `first`: first engine; `engines` contains the others.
+    - `first_rates`: rates of the first gimbal's station due to the modes.
+    - `offset`: vector from the core CG to the CG with deflected engines.
     """
     for n in range(sizes.tvc_loads):
         k, i = load.engine[n], states + N_TVC_LOAD * n
@@ -224,7 +223,8 @@ def prepare_loads(
             slope_y, slope_z = slope_y + bent[4], slope_z + bent[5]
         cg = add(engine.gimbal, scaled(-arm, engine.axis))
         apparent = add(cross(rate, cross(rate, cg)), scaled(2.0, cross(rate, engine.delta_rate)))
-        apparent = add(apparent, (0.0, -rate[0] * moved[2], rate[0] * moved[1]))  # quasi-velocities hold the other half
+        # the quasi-velocities contain the other half
+        apparent = add(apparent, (0.0, -rate[0] * moved[2], rate[0] * moved[1]))
         spin = scaled(2.0, cross(turning, cross(engine.relative_rate, engine.axis)))
         for axis in range(2):
             unknown = 2 * n + axis
@@ -257,7 +257,7 @@ def prepare_loads(
 def _modal_forces(
     sizes: Counts, properties: Array, e: Engine, k: int, force: Vector, couple: Vector, swing: Swing
 ) -> None:
-    """Set the modal forces of a force at the CG of engine k at rest and of a couple, at its gimbal (3.4)."""
+    """Set the modal forces of a force at the CG of engine k at rest and of a couple (docs/model.md, 3.4)."""
     clear_modes(sizes, swing.planar_force_N)
     at_gimbal = load_at_gimbal(e, k, force, couple)
     apply_gimbal_load(sizes, properties, e.gimbal[k], at_gimbal, swing.planar_force_N)
@@ -284,9 +284,10 @@ def load_responses(sizes: Counts, inverse_mass: float, inverse: Symmetric, prope
 def moment_about_hinge(
     sizes: Counts, swing: Swing, accel: Vector, alpha: Vector, planar_mps2: Array, spatial_mps2: Array
 ) -> float:
-    """Return the moment on the hinge of an unknown by the accelerations of the vehicle, N m.
+    """Return the moment on the hinge of an unknown due to the accelerations of the vehicle, N m.
 
-    They are those of the CG, of the body's rotation and of the modes.
+    `accel` is that of the CG with deflected engines, `alpha` the angular acceleration; the others are those of the
+    modes.
     """
     total: float = dot(vector_at(swing.force_N, 0), accel) + dot(vector_at(swing.moment_Nm, 0), alpha)
     total += product_of_modes(sizes, swing.planar_force_N, planar_mps2)
@@ -315,7 +316,7 @@ def load_derivative(
     engines: EngineOutputs,
     out: TvcLoadOutputs,
 ) -> None:
-    """Write the derivatives of the states at y[first:] once the accelerations are known, which are outputs as well."""
+    """Write the derivatives of the states at y[first:] and the accelerations of the engines, once they are known."""
     for back in range(2 * sizes.tvc_loads):
         k = 2 * sizes.tvc_loads - 1 - back
         n, i, accel = k // 2, first + N_AXIS * k, system.unknown[sizes.pendulums + k]
@@ -332,7 +333,7 @@ class TvcLoadRow(NamedTuple):
 
 
 class SwingRow(NamedTuple):
-    """The logged values of a swinging engine, where several swing."""
+    """The logged values of a swinging engine, in a vehicle with several such engines."""
 
     swing_load_axis_angle_deg: Annotated[PitchYaw, "deg", "angle of the engine"]
     actuator_load_axis_angle_deg: Annotated[PitchYaw, "deg", "position of its actuators, as an angle"]
@@ -341,7 +342,7 @@ class SwingRow(NamedTuple):
 
 @kernel
 def swing_row(loads: int, n: int, out: TvcLoadOutputs) -> SwingRow:
-    """Return the row of an engine, nan for a load that the stage does not have."""
+    """Return the row of an engine; all values are nan for a load that the stage does not have."""
     if n >= loads:
         none = PitchYaw(math.nan, math.nan)
         return SwingRow(none, none, none)
@@ -354,7 +355,7 @@ def swing_row(loads: int, n: int, out: TvcLoadOutputs) -> SwingRow:
 
 @kernel
 def tvc_load_row(sizes: Sizes, out: TvcLoadOutputs) -> TvcLoadRow:
-    """Return the row of the first load, nan for a stage whose engines follow their actuators."""
+    """Return the row of the first load; all values are nan for a stage whose engines follow their actuators."""
     if sizes.tvc_loads == 0:
         return TvcLoadRow(PitchYaw(math.nan, math.nan), PitchYaw(math.nan, math.nan))
     return TvcLoadRow(

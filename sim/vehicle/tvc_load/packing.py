@@ -1,4 +1,4 @@
-"""The engines on the compliance of their mount, as the record that the kernels read."""
+"""The parameter record of the engines with a compliant mount."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def _tvc_loads(stage: Stage, e: Engine, sizes: Sizes, actuators: Sequence[Actuator]) -> TvcLoad:
     """Return the record of the stage's section `tvc_load`.
 
-    Stops and play are those of the actuators, pitch and yaw of each group.
+    Stops and play are those of the actuators, in pitch and yaw of each group.
     """
     out: dict[str, Any] = {f.name: np.zeros(MAX_TVC_LOADS) for f in fields(TvcLoad)}
     out["engine"] = np.zeros(MAX_TVC_LOADS, np.int64)

@@ -1,4 +1,4 @@
-"""The compliance on which the engines of a stage swing, as in the vehicle file."""
+"""The schema of the compliance of a stage's engine mounts in the vehicle file."""
 
 from __future__ import annotations
 
