@@ -4,8 +4,8 @@
           guidance, commanded attitude -----^          roll error and rate -> switching line -> thrusters
     several groups of engines: pitch, yaw and roll -> allocation -> limit -> DAC, for each group (allocation.py)
 
-The law is a module of control/laws; flown.py there contains the parameters and states of all laws and calls the law that
-flies. External flight code replaces the law, the roll control and the roll command (external.py).
+The law is a module of control/laws. flown.py there contains the parameters and states of all laws, and calls the law
+that flies. External flight code replaces the law, the roll control and the roll command (external.py).
 
 The computer contains neither the plant nor its own delay. It returns the command at once; the caller applies the
 command `delay_ns` later and holds it.
