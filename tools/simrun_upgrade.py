@@ -1,5 +1,6 @@
-"""The subcommand `simrun upgrade FILE`: convert a design, case or suite of an earlier version of maxq to the present
-format.
+"""The subcommand `simrun upgrade FILE`: convert a file of an earlier version of maxq to the present format.
+
+It converts designs, cases, suites, scenarios and campaigns.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def execute(name: str) -> int:
 
 
 def role_of(path: Path, label: str, reading: Reading) -> str:
-    """Return the kind of a file by its keys and those of the files that it extends. Raises ScenarioError."""
+    """Return the kind of a file, by its keys and those of the files that it extends. Raises ScenarioError."""
     problem: ScenarioError | None = None
     for role in ("suite", "case", "design", "scenario"):
         try:
