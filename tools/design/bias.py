@@ -1,15 +1,17 @@
 """The subcommand `simdesign bias SCENARIO`: a pitch and yaw programme that turns the vehicle into a measured wind.
 
 With a programme for still air, the wind adds to the angle of attack. Here, the commanded attitude is turned until the
-angle of attack and the sideslip in the measured profile equal those in still air, or until a share of the difference
-is removed. Flight after flight, the bias theta_b in pitch changes by d, and that in yaw likewise with beta reversed:
+angle of attack and the sideslip in the measured profile equal those in still air. Alternatively, only a share of the
+difference is removed. Flight after flight, the bias theta_b in pitch changes by d; yaw follows with beta reversed:
 
     theta_b <- theta_b + d,    d = W (e + v / V),    v' = a d + Z (V d - v),    e = alpha_wanted - alpha
 
-e is the missing angle of attack and V the airspeed. The axial load a and the normal force Z V per mass and angle push a
-vehicle that is turned by d off its path; the resulting velocity v reduces the effect of the turn by v / V. a and Z are
-those of the linear model. W fades with the dynamic pressure: it is 1 from `FULL_FROM` of the largest value upwards, and
-0 without dynamic pressure, so that liftoff and the later flight keep their attitude. e is averaged over `SMOOTHED_S`,
+The missing angle of attack is e, and the airspeed is V. A vehicle turned by d is pushed off its path by the axial load
+a and by the normal force Z V per mass and angle. Its velocity v off the path reduces the effect of the turn by v / V.
+The linear model gives a and Z.
+
+The factor W fades with the dynamic pressure: it is 1 from `FULL_FROM` of the largest value upwards, and 0 without
+dynamic pressure. Liftoff and the later flight thus keep their attitude. The angle e is averaged over `SMOOTHED_S`,
 because a programme can follow the profile, but not slosh or gusts. The profile is flown as measured, without gusts and
 turbulence.
 """

@@ -1,9 +1,9 @@
 """A mutation test of the quick tests: does a test fail when a token of the source is changed?
 
-    python -m maxq.tools.dev.mutations plant --work DIR     draw mutants, plant all of them in a copy of the tree
-    python -m maxq.tools.dev.mutations map --work DIR       mutants that each quick test reaches, and its time
-    python -m maxq.tools.dev.mutations run --work DIR       run the tests that reach each mutant until one fails
-    python -m maxq.tools.dev.mutations table --work DIR     write counts and survivors into docs/verification.md
+    python -m maxq.tools.dev.mutations plant --work DIR     # draw mutants, plant all of them in a copy of the tree
+    python -m maxq.tools.dev.mutations map --work DIR       # mutants that each quick test reaches, and its time
+    python -m maxq.tools.dev.mutations run --work DIR       # run the tests that reach each mutant until one fails
+    python -m maxq.tools.dev.mutations table --work DIR     # write counts and survivors into docs/verification.md
 
 One copy of the tree contains all mutants, each with its original statement: `if at(7): changed else: original`. A file
 that all processes map into their memory selects the active mutant and records the mutants reached. Compiled kernels

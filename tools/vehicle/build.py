@@ -59,9 +59,9 @@ class Built:
         """Return the rigid-body frequency for which the first gains are computed, Hz.
 
         The layout may specify it. The default is an eighth of the lower of mode 1 and the actuator, or half of the
-        slowest slosh mode at that time, at most 0.4 Hz. In a long tail-off, the frequency falls with the thrust, so
-        that the rate gain is constant: the inertia of the engine excites the modes in proportion to this gain, whatever
-        the thrust.
+        slowest slosh mode at that time, whichever is less, and at most 0.4 Hz. In a long tail-off, the frequency falls
+        with the thrust, so that the rate gain is constant. The inertia of the engine excites the modes in proportion to
+        this gain, whatever the thrust.
         """
         times, modes = self.modes[p.number]
         own = [of[0].frequency_hz for of in modes if of]
@@ -290,9 +290,9 @@ def _gains(built: Built) -> list[tuple[float, float, float]]:
 def least_rigid_hz(built: Built, aero_gain_db: float) -> tuple[list[float], list[float]]:
     """Return flight times (s) and the least rigid-body frequency (Hz) required at each.
 
-    The frequency is SHARE of that of the first gains, or a greater one that an unstable vehicle needs for its lower
-    gain margin g: from M_delta k_p = g M_alpha follows omega^2 = (g - 1) M_alpha. Rows between two equal ones are
-    omitted.
+    The frequency is SHARE of that of the first gains, or the frequency that an unstable vehicle needs for its lower
+    gain margin g, whichever is greater. From M_delta k_p = g M_alpha follows omega^2 = (g - 1) M_alpha. Rows between
+    two equal ones are omitted.
     """
     factor, rows = 10.0 ** (aero_gain_db / 20.0) - 1.0, []
     for p in dozen(built):

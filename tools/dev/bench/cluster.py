@@ -1,9 +1,9 @@
 """Campaigns on a Dask scheduler: with eight worker processes that fly, and with a thousand simulated workers.
 
 A simulated worker is an ordinary worker of Dask, with many of them per process. It receives real tasks, draws their
-runs, sleeps for the time of their flights on a separate core (one batch in fifty takes ten times as long), and returns
-real rows. Scheduler, client, data set and verdicts thus work as with this number of cores. In one case, a quarter of
-the workers is killed during the campaign.
+runs, and sleeps for the time of their flights on a separate core. One batch in fifty takes ten times as long. It then
+returns real rows. Scheduler, client, data set and verdicts thus work as with this number of cores. In one case, a
+quarter of the workers is killed during the campaign.
 """
 
 from __future__ import annotations

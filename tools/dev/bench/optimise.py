@@ -2,8 +2,11 @@
 
     python -m maxq.tools.dev.bench.optimise [--seconds 20] [--seeds 1] [--workers 2] [--only F4/free,...]
 
-The module prints JSON. It contains the time of an F6 design with free gains, also at four times the operating points,
-of the fifteen optima of one table of docs/case-study, and of a robust design.
+The module prints JSON. It contains the times of:
+
+- an F6 design with free gains, also at four times the operating points
+- the fifteen optima of one table of docs/case-study
+- a robust design.
 
 F2 to F4 with all three gain schedules are compared with two searches without gradients from random populations:
 differential evolution (SciPy) and CMA-ES with restarts (pycma). These share only the exact responses of the fixed paths

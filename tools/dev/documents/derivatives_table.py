@@ -2,7 +2,7 @@
 
     python -m maxq.tools.dev.documents.derivatives_table [FILE]
 
-flies `nominal`, computes the stability derivatives (eqs 4 to 8) along its path from 5 s to 55 s, and writes them with
+flies `nominal` and computes the stability derivatives (eqs 4 to 8) along its path from 5 s to 55 s. It writes them with
 the paper's ranges into FILE (default: docs/flights/nominal-derivatives.md) and to the terminal.
 """
 
