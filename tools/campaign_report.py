@@ -218,7 +218,7 @@ def _failures(v: Judged) -> str:
 
 
 def _tightest(ordered: Sequence[Judged]) -> list[str]:
-    """Return the utilisation of the tightest requirement as a list of one text, or an empty list if it was missed."""
+    """Return a list with a text on the utilisation of the tightest requirement, empty if it is missed or unknown."""
     first = next((v for v in ordered if math.isfinite(v.utilisation)), None)
     if first is None or first.shown.failures:
         return []

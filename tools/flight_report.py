@@ -85,9 +85,7 @@ def _missed(verdict: Verdict) -> str:
 
 
 def _tightest(verdicts: Sequence[Verdict]) -> list[str]:
-    """Return the utilisation of the requirement with the least margin as a list of one text, or an empty list without
-    one.
-    """
+    """Return a list with a text on the utilisation of the tightest requirement, empty if no utilisation is known."""
     if not verdicts or not math.isfinite(verdicts[0].utilisation):
         return []
     first = verdicts[0]

@@ -99,7 +99,7 @@ def _tell(data: DataSet, total: int, flown: str, pictures: bool, start_s: float,
     """Write the summary and the report, print the results, and return the exit code.
 
     `total` is the number of runs of the campaign. `flown` is a text on the flights of this call. The next step is
-    printed if the campaign is `complete`; otherwise the last line of the caller says how to resume.
+    printed only if the campaign is `complete`; otherwise, the caller prints how to resume it.
     """
     announce("writing the report")
     verdicts, losses = judged(data), lost(data)

@@ -68,7 +68,7 @@ def execute(
 
 
 def _present(scenario: str, key: str, overrides: tuple[str, ...]) -> float:
-    """Return the scenario's value of a key, or 0 if it has none or cannot be loaded without one.
+    """Return the scenario's value of a key, or 0 if it has no value or cannot be loaded without this key.
 
     Raises ScenarioError if the value is not a number.
     """

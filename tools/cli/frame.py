@@ -125,7 +125,7 @@ class Interruption:
     """A context manager for Ctrl-C and SIGTERM, so that files can be closed. Batch systems send SIGTERM before they
     kill.
 
-    Within the block, the first signal only sets `requested`, which a call of the object also returns. A second one
+    Within the block, the first signal only sets `requested`, which a call of the object also returns. The second signal
     raises KeyboardInterrupt.
 
     With `at_once`, the first signal raises as well. A library's callback may suppress the exception (compilers print

@@ -171,7 +171,7 @@ class Parser(argparse.ArgumentParser):
         super()._print_message(message, file)
 
     def _first_word(self, arguments: Sequence[str]) -> int | None:
-        """Return the index of the first word that is neither an option nor the value of one, or None."""
+        """Return the index of the first word that is neither an option nor the value of an option, or None."""
         options = {name: a for parser in self._commands.values() for name, a in parser._option_string_actions.items()}
         values = 0
         for at, word in enumerate(arguments):
@@ -190,9 +190,8 @@ class Parser(argparse.ArgumentParser):
         return None
 
     def _refuse_unknown(self, arguments: Sequence[str]) -> None:
-        """Reject an option that this command does not have.
-
-        Name the subcommand that has it, or the most similar option.
+        """Reject an option that this command does not have. The error names the subcommand that has it, or a similar
+        option.
         """
         mine = self._option_string_actions
         for word in takewhile("--".__ne__, arguments):
@@ -212,7 +211,7 @@ class Parser(argparse.ArgumentParser):
             self.error(f"unknown option {word}" + (f"; did you mean {close[0]}?" if close else ""))
 
     def _check(self, options: argparse.Namespace) -> None:
-        """Reject options without those that they need, or with those that they exclude, and an --out without a name."""
+        """Reject options without those that they need or with those that they exclude, and an --out without a name."""
         given = [
             action.option_strings[0]
             for action in self._actions

@@ -57,7 +57,7 @@ def aligned(
 
     If a line is wider than `width` (None: that of the terminal), the columns in `drop` are omitted, in their order. If
     this is not sufficient, columns of text are wrapped at spaces, with the number of omitted columns that gives the
-    fewest lines. As a last resort, columns follow each other in blocks that repeat the first one.
+    fewest lines. As a last resort, columns follow each other in blocks that repeat the first column.
     """
     if not rows:
         return []
@@ -304,7 +304,7 @@ class Progress:
         console = Console(stderr=True)
 
         class Narrow(Bar):
-            """A bar followed by space for the "^C" of a terminal, which otherwise breaks the line."""
+            """A bar followed by space for the "^C" that a terminal prints, which would otherwise break the line."""
 
             def get_renderable(self) -> RenderableType:
                 return Constrain(super().get_renderable(), max(console.width - _EDGE, 20))

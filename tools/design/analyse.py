@@ -255,7 +255,7 @@ def designed_along(design: str) -> str:
 
 
 def bases_of(scenario: LoadedScenario, design: Design, label: str) -> dict[int, Basis]:
-    """Return the stated basis of each stage (numbered from 0) that has one. Raises ScenarioError."""
+    """Return the basis of each stage that states a basis, by the index of the stage. Raises ScenarioError."""
     found = {n: stated_basis(design, n, label) for n in range(len(scenario.vehicle.stage))}
     return {n: basis for n, basis in found.items() if basis is not None}
 

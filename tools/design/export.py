@@ -369,7 +369,7 @@ def _system(system: StateSpace, sample_s: float) -> dict[str, Any]:
 
 
 def unit_of(name: str) -> str:
-    """Return the unit in a name such as `theta_rad`, or "" for a name without one, such as that of a filter's state."""
+    """Return the unit at the end of a name such as `theta_rad`, or "" without a unit, as for the state of a filter."""
     return _UNITS.get(name.rpartition("_")[2], "") if "_" in name else ""
 
 

@@ -135,7 +135,7 @@ def gains(designs: Mapping[str, Design], title: str = "") -> Figure:
 def filters(designs: Mapping[str, Design], nodes: Sequence[Node], title: str = "") -> Figure:
     """Draw Figs 8, 12, 14: the Bode plot of the bending filters.
 
-    Thick curves are the discrete filter as flown, thin ones the continuous filter. The last filter of a schedule is
+    Thick curves show the discrete filter as flown, thin curves the continuous filter. The last filter of a schedule is
     paler than the first. Shaded areas are the bands of the bending frequencies over the operating points.
     """
     figure, places = sheet(2, 1, height_in=2.2, title=title)
@@ -305,7 +305,7 @@ def judged_sheets(judged: Sequence[JudgedLoop], title: str, wanted: Wanted) -> l
 def loop_picture(judged: JudgedLoop, title: str, wanted: Wanted) -> Figure:
     """Draw the Bode, Nichols and Nyquist plots of one operating point.
 
-    The zone drawn is the required one, else those whose clearance was measured.
+    The zone drawn is the required zone or, without a requirement, the zones whose clearance was measured.
     """
     zones = (wanted.zone,) if wanted.zone is not None else tuple(c.zone for c in judged.margins.clearances)
     return draw_loop(picture_of(judged, f"{title}, {judged.node.plane}, {judged.time_s:g} s", zones))

@@ -94,7 +94,7 @@ def execute(order: AnalysisOrder, points: str) -> int:
 
 
 def is_case_of_points(case: str) -> bool:
-    """Return True for a case file with points, and False for one that cannot be read."""
+    """Return True for a case file with points. Return False for other files, also if the file cannot be read."""
     try:
         return "points" in Reading().document(*locate(case, "case"), "case")
     except ScenarioError:
@@ -141,9 +141,9 @@ def designed_at_points(loaded: LoadedCase, progress: SearchProgress | None = Non
 
 
 def _kind_of(order: AnalysisOrder, read: GivenPoints, basis: Basis | None) -> LoopKind:
-    """Return the kind of loop: that of the options, else that of the basis, else that of the computer.
+    """Return the kind of loop: from the options, else from the basis, else by the computer.
 
-    The latter is `sampled`, or `exact` for a computer that does not sample. Raises CommandError.
+    For the computer, it is `sampled`, or `exact` if the computer does not sample. Raises CommandError.
     """
     samples = read.computer.sample_s > 0.0
     if "kind" in order.given:

@@ -308,7 +308,7 @@ def margins_rows(found: Sequence[tuple[float, Margins]]) -> list[tuple[str, ...]
 def multiloop_table(together: Sequence[MultiloopMargins]) -> list[str]:
     """Return a row for each operating point: gain and phase margin of each axis, and the disk margin of all loops.
 
-    The gain margin is the lesser of the upper and lower one.
+    The gain margin is the lesser of the upper and the lower gain margin.
     """
     if not together:
         return []

@@ -404,7 +404,7 @@ def _solve_order(key: tuple[str, str], contained: Sequence[DesignedLaw]) -> Solu
 
 
 def _before(names: Sequence[str], name: str) -> str:
-    """Return the name that precedes this one, or "" for the first."""
+    """Return the preceding name, or "" for the first name."""
     return ("", *names)[names.index(name)]
 
 

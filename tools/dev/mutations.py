@@ -407,7 +407,10 @@ class _Server:
         return True
 
     def _forked(self, do: Any, path: Path | None = None) -> str:
-        """Call `do` in a forked process with an open file. Return the text of this file, `path` or a temporary one."""
+        """Call `do` in a forked process with a file open for writing, and return the text of this file.
+
+        The file is `path`, to which text is appended, or a temporary file.
+        """
         if path is None:
             path = self.work / f"answer-{os.getpid()}"
             path.write_text("")

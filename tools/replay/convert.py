@@ -175,10 +175,10 @@ def seen_of(part_s: tuple[float, float], span_s: tuple[float, float]) -> tuple[f
 
 
 def parts_of(flights: Sequence[ReplayFlight], span_s: tuple[float, float]) -> dict[str, tuple[float, float]]:
-    """Return the parts of the flight by name, as time spans, with the whole flight last.
+    """Return the parts of the flight by name, as time spans (s), with the whole flight last.
 
-    The other parts are the stages, if all flights have the same number of separations. Otherwise there is one, the
-    powered flight, unless it is nearly the whole flight.
+    If all flights have the same number of separations, the other parts are the stages. Otherwise, the only other part
+    is the powered flight, and it is omitted if it is nearly the whole flight.
     """
     whole = {"Whole flight": span_s}
     parted = [[m.time_s for m in f.moments if m.name == "separation"] for f in flights]
@@ -319,7 +319,7 @@ def plot_view(plot: ReplayPlot, span: TimeSpan, roots: Sequence[str], legend: bo
 
 
 def with_scale(low: float, high: float, most: int) -> tuple[float, float]:
-    """Return a range that contains the given one and shows at least two numbers on its axis.
+    """Return the range from `low` to `high`, extended such that its axis shows at least two numbers.
 
     The viewer writes the multiples of the smallest power of ten of which at most `most` fit. It cuts numbers near the
     edge.

@@ -207,7 +207,7 @@ def open_flight(path: Path, label: str = "", read: Callable[[Path], Log] | None 
 
 
 def _keeping(most: int | None) -> Callable[[Path], Log]:
-    """Return a function that reads logs and keeps the `most` recently used ones in memory (None: all).
+    """Return a function that reads logs and keeps the `most` recently used logs in memory (None: all).
 
     The function raises ReplayError for a log that cannot be read.
     """
@@ -274,7 +274,7 @@ def launch_of(log: Log) -> tuple[EarthSection, Site]:
 
 
 def _summary(log: Log) -> Mapping[str, Any]:
-    """Return the summary next to the log, or an empty one if it does not belong to the same flight."""
+    """Return the summary next to the log, or an empty mapping if it does not belong to the same flight."""
     try:
         summary = json.loads(log.path.with_name(SUMMARY_NAME).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -329,8 +329,8 @@ def open_flights(
 ) -> tuple[list[ReplayFlight], list[str]]:
     """Return all readable flights, and a message on each flight that cannot be read completely.
 
-    `in_turn` is True if the caller processes the flights one after the other; then only the data of a few are kept in
-    memory. Raises ReplayError if no flight can be read.
+    Set `in_turn` if the caller processes the flights one after the other: then, only the data of a few flights are kept
+    in memory. Raises ReplayError if no flight can be read.
     """
     logs = find_logs(places)
     flights: list[ReplayFlight] = []
@@ -355,8 +355,9 @@ def open_flights(
 
 
 def closest(flights: Sequence[ReplayFlight]) -> set[int]:
-    """Return the indices of the flights whose vehicle and limits are drawn: the nominal, failed ones, then the
-    first.
+    """Return the indices of the flights whose vehicle and limits are drawn.
+
+    The nominal flight is first in order, then failed flights, then the others.
     """
 
     def rank(i: int) -> tuple[bool, bool, int]:
@@ -439,7 +440,7 @@ def launch_site(earth: EarthSection, site: Site, channels: Channels) -> ShownLau
 
 
 def path_of(channels: Channels, frames: LaunchFrames) -> FramePath:
-    """Return the motion in a log or a block. `frames` selects the poses and remembers the last one."""
+    """Return the motion in a log or a block. `frames` selects the poses and stores the last pose."""
     table = channels.table
     times_ns = channels.time_ns(_NEEDED[0])
     rows = np.zeros((len(times_ns), len(table.columns(table.topic(_NEEDED[0]).group))))

@@ -50,9 +50,10 @@ def _connected(name: str, port: int) -> rr.RecordingStream:
 
 
 class FlownView:
-    """A viewer for the log of a completed flight: one that listens on `port` of this machine, or a new window (None).
+    """A viewer for the log of a completed flight.
 
-    Create it before the flight, so that a missing viewer is reported before the flight. Raises ReplayError.
+    It is the viewer that listens on `port` of this machine, or a new window if `port` is None. Create it before the
+    flight, so that a missing viewer is reported before the flight. Raises ReplayError.
     """
 
     def __init__(self, port: int | None) -> None:
@@ -100,9 +101,10 @@ class Block:
 
 
 class LiveView:
-    """A viewer for a running flight: one that listens on `port` of this machine, or a new window (None).
+    """A viewer for a running flight.
 
-    Raises ReplayError if neither is available.
+    It is the viewer that listens on `port` of this machine, or a new window if `port` is None. Raises ReplayError if
+    neither is available.
     """
 
     def __init__(self, loaded: LoadedScenario, port: int | None = None) -> None:
@@ -137,7 +139,7 @@ class LiveView:
 
         A viewer processes some hundred messages per second, and each entity of a block is one message. Therefore, rows
         are collected for a minimum time between messages. In real time, every block is shown immediately, and its plots
-        every few blocks. At full speed, the thousands of blocks of a second or two are sent as a few large ones.
+        every few blocks. At full speed, thousands of blocks within a second or two are sent as a few large blocks.
         """
         if not len(rows[SLOW][0]):
             return

@@ -89,8 +89,8 @@ class Flights:
     def colour(self, flight: ReplayFlight) -> str:
         """Return the colour of a flight.
 
-        It is black for the reference. A failed flight among few has a shade of red; one among many has the colour of
-        its verdict.
+        The reference is black. Among few flights, failed flights have shades of red; among many, all flights have the
+        colours of their verdicts.
         """
         others = [f for f in self.all if f is not self.reference]
         if flight is self.reference:
@@ -214,10 +214,9 @@ def _draw(place: Axes, plot: ReplayPlot, shown: Flights, span_s: tuple[float, fl
 
 
 def _draw_curve(place: Axes, curve: PlotLine, number: int, shown: Flights, span_s: tuple[float, float]) -> list[Array]:
-    """Draw a curve of a few flights as lines, or of many as an envelope with lines of the failed ones and the
-    reference.
+    """Draw a curve of a few flights as lines, or of many flights as an envelope, and return the values of each flight.
 
-    Return the values of each flight.
+    Over an envelope, the reference and the failed flights are drawn as lines.
     """
     span_ns = round(span_s[0] * 1e9), round(span_s[1] * 1e9) + 1
     look = look_of(number)

@@ -138,8 +138,8 @@ class Family:
     """A collection of the curves of many flights that are sent together.
 
     All lines of an entity share their times. Therefore, every interval has two rows, at a quarter and at three quarters
-    of it, with its smallest and largest value in the order of the trend. No value is changed, but the time of a value
-    may be wrong by up to three quarters of an interval.
+    of its length. They contain its smallest and largest value in the order of the trend. No value is changed, but the
+    time of a value may be wrong by up to three quarters of an interval.
     """
 
     def __init__(self, span_s: tuple[float, float], interval_ns: int) -> None:

@@ -93,8 +93,8 @@ def environment() -> dict[str, str]:
 
 
 def _own_config() -> Path:
-    """Return the viewer's configuration folder, which is created in the cache folder of maxq, or else as a temporary
-    one.
+    """Return the viewer's configuration folder. It is in the cache folder of maxq or, if this is not possible,
+    temporary.
 
     The cache folder is also that of `control/kernel/jit.py`, a module that takes a quarter of a second to load.
     """

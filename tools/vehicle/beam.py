@@ -38,7 +38,7 @@ class BeamMode:
 
 @dataclass(frozen=True)
 class RigidLoad:
-    """The masses of a rigid booster that is clamped at one station of the beam or attached at two."""
+    """The masses of a rigid booster that is clamped at one station of the beam or attached at two stations."""
 
     attachments_m: tuple[float, ...]
     rods: Sequence[Rod]

@@ -169,7 +169,7 @@ def _renormalise(found: list[list[BeamMode]], k: int) -> None:
 def _that_count(
     every: Sequence[Stack], modes: list[TimedModes], highest_hz: float
 ) -> tuple[list[TimedModes], list[str]]:
-    """Return the modes of each stack whose frequency starts at or below `highest_hz`, and a text on the omitted ones.
+    """Return the modes of each stack whose frequency starts at or below `highest_hz`, and texts on the omitted modes.
 
     All parts of a stage keep an equal number of modes. Modes given by the layout are all kept.
     """
@@ -292,7 +292,7 @@ def least_rigid_hz(built: Built, aero_gain_db: float) -> tuple[list[float], list
 
     The frequency is SHARE of that of the first gains, or the frequency that an unstable vehicle needs for its lower
     gain margin g, whichever is greater. From M_delta k_p = g M_alpha follows omega^2 = (g - 1) M_alpha. Rows between
-    two equal ones are omitted.
+    two rows of the same frequency are omitted.
     """
     factor, rows = 10.0 ** (aero_gain_db / 20.0) - 1.0, []
     for p in dozen(built):
@@ -351,7 +351,7 @@ def too_weak(built: Built) -> list[str]:
 
 
 def warnings(built: Built) -> list[str]:
-    """Return a line for each value that is unusual, but possible."""
+    """Return a line for each value that is possible, but unusual."""
     out, half_hz = [], 0.5 / built.layout.control.sample_s
     for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
         for k, mode in enumerate(modes[0]):

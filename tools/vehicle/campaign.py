@@ -152,7 +152,5 @@ def _modes_flown(built: Built, n: int) -> int:
 
 
 def _each(count: int) -> list[tuple[str, str]]:
-    """Return the suffixes that distinguish the elements of a list in names and in key paths, both empty for one
-    element.
-    """
+    """Return the suffixes of the elements of a list in names and in key paths. For a single element, both are empty."""
     return [(f" {k + 1}", f".{k}") for k in range(count)] if count > 1 else [("", "")]

@@ -68,7 +68,7 @@ def compared(built: Built, folder: Path, vehicle: str) -> list[Difference]:
     """Compare the files in `folder`, written from `built`, with a vehicle given by its folder or built-in name.
 
     Quantities that are zero throughout for the given vehicle are omitted. Raises ScenarioError for a vehicle that
-    cannot be read, and ValueError for one with other stages, tanks, modes or surfaces.
+    cannot be read, and ValueError for a vehicle with different stages, tanks, modes or surfaces.
     """
     path = Path(vehicle) if Path(vehicle).exists() else scenarios_folder() / vehicle
     ours = load_scenario(folder / "scenario.toml")

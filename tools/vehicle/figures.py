@@ -58,7 +58,7 @@ def stage_bodies(stage: LayoutStage, nose_m: float, nose: str) -> list[Series]:
     """Return the bodies of a stage to scale, with its boosters first, so that the core covers those in front and
     behind.
 
-    `nose_m` is the length of the nose, 0 for a stage without one. `nose` is its shape.
+    `nose_m` is the length of the nose, 0 for a stage without a nose. `nose` is its shape.
     """
     r, out = 0.5 * stage.diameter_m, list[Series]()
     for booster in stage.booster:

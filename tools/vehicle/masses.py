@@ -192,7 +192,7 @@ def _burn_of_table(table: CsvTable, engines: int, usable_kg: float, ignition_s: 
 
 @dataclass(frozen=True)
 class Strapped:
-    """A set of equal boosters of a stack, with the burn of one of them on the clock of the stage."""
+    """A set of equal boosters of a stack, with the burn of a single booster on the clock of the stage."""
 
     booster: LayoutBooster
     burn: ThrustCurve
@@ -404,7 +404,7 @@ def _column(tank: LayoutTank, mass_kg: float) -> Rod:
 def stacks(layout: Layout) -> list[Stack]:
     """Return the stacks in the order of flight, all with the fairing.
 
-    There is one for each stage, and one more for each separation of boosters. Raises ValueError for too short a burn,
+    Each stage has a stack, and a further stack for each separation of boosters. Raises ValueError for too short a burn,
     and for boosters that separate after the full thrust of their stage.
     """
     out = []

@@ -64,7 +64,7 @@ def numbers(head: tuple[str, ...]) -> list[int]:
 
 
 def tables(built: Built) -> list[LayoutTable]:
-    """Return the tables of stages, bending modes and control, without empty ones."""
+    """Return the tables of stages, bending modes and control that have rows."""
     return [found for found in (_stages(built), _modes(built), _control(built)) if len(found.rows) > 1]
 
 

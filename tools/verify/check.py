@@ -379,7 +379,7 @@ def _by_name(rows: Sequence[dict[str, Any]], replaced: bool) -> dict[str, Any]:
 
 
 def compared(pack: Any, derived: Any, path: str = "") -> Iterator[str]:
-    """Yield a sentence for each difference between a record and the derived one, both as parsed from JSON."""
+    """Yield a sentence for each difference between a record and the derived record, both as parsed from JSON."""
     if isinstance(pack, dict) and isinstance(derived, dict):
         for key in dict.fromkeys([*derived, *pack]):
             where = f"{path}: {key}" if path else key

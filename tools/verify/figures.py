@@ -150,7 +150,7 @@ def _worst_flights(found: Verification) -> Plot:
 
 
 def _planes(found: Verification, wanted: LinearMargins) -> list[tuple[str, Plane, list[MarginStudy]]]:
-    """Return for each plane its name, the plane and its studies. Two planes with equal margins are shown as one."""
+    """Return for each plane its name, the plane and its studies. Two planes with equal margins share an entry."""
     each = {plane: [m for m in found.results.margins if m.plane == plane] for plane in wanted.planes}
     have: list[tuple[str, Plane, list[MarginStudy]]] = [(str(plane), plane, s) for plane, s in each.items() if s]
     if len(have) == 2 and len(have[0][2]) == len(have[1][2]) and all(map(_equal, have[0][2], have[1][2])):

@@ -46,7 +46,8 @@ def headline(found: Verification, name: str = "") -> str:
 def _decisive(found: Verification) -> str:
     """Return a text on the decisive requirement.
 
-    It is the missed requirement furthest beyond its limit, the undecided one that needs the most runs, or the tightest.
+    For a rejection, it is the missed requirement furthest beyond its limit. For an undecided verdict, it is the
+    undecided requirement that needs the most runs. Otherwise, it is the tightest requirement.
     """
     if found.judgement in (REJECTED, WAIVED):
         missed = [r for r in found.of(REJECTED) if not r.waived] or found.of(REJECTED)

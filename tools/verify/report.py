@@ -262,8 +262,8 @@ def print_page(page: Path, pdf: Path) -> Path | None:
 def _headings(part: Sequence[JudgedRequirement]) -> list[str]:
     """Return for each requirement of a part the end of its heading, which names the plane.
 
-    A requirement without a plane takes that of the next one with a plane, else of the one before. If more than half of
-    the requirements have no plane, all ends are empty.
+    A requirement without a plane takes the plane of the next requirement that has one, else of the previous one. If
+    more than half of the requirements have no plane, all ends are empty.
     """
     planes = [(r.where.rpartition(", ")[2] if r.where.endswith((", pitch", ", yaw")) else "") for r in part]
     if 2 * sum(map(bool, planes)) < len(planes):

@@ -1,8 +1,8 @@
 """The maxq worker: the powered phase of the nominal scenario with all models, without a log, on one core.
 
 `--own-kernels` uses kernels compiled for this vehicle's sizes, as large campaigns do. `--nine-engines` replaces the
-engine by nine engines of a ninth of its size, each with separate actuators; equal groups would count as one. Further
-arguments are overrides of the scenario.
+engine by nine engines of a ninth of its size. Each has separate actuators, since equal groups would count as a single
+group. Further arguments are overrides of the scenario.
 """
 
 from __future__ import annotations

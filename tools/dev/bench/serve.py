@@ -1,6 +1,6 @@
 """The loop of a worker: it reads a line from its standard input, flies, and answers with a line of JSON.
 
-The flights of several programs can thus alternate in one run, each in a separate process with loaded caches.
+In this way, the flights of several programs alternate in one run, each in a separate process with loaded caches.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Certify the nominal scenario's design at eleven operating points in both planes: `python -m
-maxq.tools.dev.verification.certificates`.
+"""Certify the nominal scenario's design at eleven operating points in both planes:
+`python -m maxq.tools.dev.verification.certificates`.
 
 Every second operating point is written into the table of docs/verification.md. The exit code is 1 if a certificate
 fails.

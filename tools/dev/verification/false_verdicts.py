@@ -1,5 +1,5 @@
-"""Measure the rates at which the harness accepts vehicles that fail too often, or rejects others: `python -m
-maxq.tools.dev.verification.false_verdicts` writes the table of docs/verification.md (some minutes).
+"""Measure the rates at which the harness accepts vehicles that fail too often, or rejects others:
+`python -m maxq.tools.dev.verification.false_verdicts` writes the table of docs/verification.md (some minutes).
 
 The vehicles are synthetic, with a known probability of failure p. A formula replaces the loop and the flight. It shifts
 the drawn deviations so that exactly the share p of the phase margins and metrics misses the limit. All else is the

@@ -1,5 +1,5 @@
-"""Fly all NESC check cases and write their largest differences into docs/verification.md: `python -m
-maxq.tools.dev.verification.nesc [--check]`.
+"""Fly all NESC check cases and write their largest differences into docs/verification.md:
+`python -m maxq.tools.dev.verification.nesc [--check]`.
 
 Pictures are written to docs/pictures/verification. With --check, nothing is written. The exit code is 1 if a tolerance
 is missed.

@@ -1,5 +1,5 @@
-"""Plant every fault, run the certificate, and write the table of docs/verification.md: `python -m
-maxq.tools.dev.verification.planted`.
+"""Plant every fault, run the certificate, and write the table of docs/verification.md:
+`python -m maxq.tools.dev.verification.planted`.
 
 The exit code is 1 if a fault is missed, or if a loop without a fault disagrees.
 """

@@ -1,5 +1,5 @@
-"""Measure how often the bounds of `simrun rare` cover the true probability: `python -m
-maxq.tools.dev.verification.rare_bounds` writes the table of docs/verdicts.md (some minutes).
+"""Measure how often the bounds of `simrun rare` cover the true probability:
+`python -m maxq.tools.dev.verification.rare_bounds` writes the table of docs/verdicts.md (some minutes).
 
 The limit states have a known probability of failure. A bound that is not given (undecided) is counted as covering.
 """

@@ -1,5 +1,5 @@
-"""Measure how often tails are withheld, and how often the bounds of the others cover the true value: `python -m
-maxq.tools.dev.verification.tail_bounds` writes the table of docs/verdicts.md (some minutes).
+"""Measure how often tails are withheld, and how often the bounds of the others cover the true value:
+`python -m maxq.tools.dev.verification.tail_bounds` writes the table of docs/verdicts.md (some minutes).
 
 A row is a distribution with a known quantile, from which `RUNS` values are drawn repeatedly. A mixture consists of
 normal numbers and a share of runs with a second mechanism, whose values have another normal distribution.
