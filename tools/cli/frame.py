@@ -98,7 +98,7 @@ def _say_notes(command: str) -> None:
 def show_list(kinds: dict[str, str]) -> int:
     """Print the names and descriptions of built-in files, for the option --list. Return the exit code.
 
-    `kinds` maps each kind (a key of builtin.FOLDERS) to the title above its files.
+    `kinds` maps each kind (a key of FOLDERS in sim/input/files.py) to the title above its files.
     """
     from maxq.sim.input.files import builtin_files  # noqa: PLC0415  # lazy: --help is quick
 

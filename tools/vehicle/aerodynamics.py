@@ -241,7 +241,8 @@ def _small_incidence(grid: GridTable, mach: Array) -> tuple[Array, Array, Array]
 def _fins(fins: LayoutFins, name: str, radius_m: float, reference_m: float) -> tuple[Surface, Array, float]:
     """Return the lifting part and Clp of a set of fins, and the planform area of one fin.
 
-    By Barrowman, equations 3-57 and 3-31, with strip theory in roll. `radius_m` is that of the body.
+    The method is that of Barrowman (equations 3-57 and 3-31), with strip theory in roll. `radius_m` is the radius of
+    the body.
     """
     s, root, tip = fins.semispan_m, fins.root_chord_m, fins.tip_chord_m
     middle = math.hypot(s, fins.sweep_m + 0.5 * (tip - root))  # length of the mid-chord line

@@ -127,8 +127,9 @@ class Grain(Between):
 
 
 def check_grains(grains: tuple[Grain, ...], radius_m: float) -> None:
-    """Check that each port is inside its grain. `radius_m` is the radius of the stage. Raises an error for the file
-    otherwise.
+    """Check that each port is inside its grain. `radius_m` is the radius of the stage.
+
+    Raises the error of an input file at the first port that is not.
     """
     for n, grain in enumerate(grains):
         outside = grain.radius_m or radius_m
