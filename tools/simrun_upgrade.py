@@ -31,7 +31,7 @@ def execute(name: str) -> int:
     model = MODELS[role_of(path, label, reading)]
     newest, given = newest_version(model), parse(text, Source(label)).get("schema")
     if given is not None and (type(given) is not int or not 1 <= given <= newest):
-        raise ScenarioError(label, "is no version of the format", "schema", value=given, allowed=f"1 to {newest}")
+        raise ScenarioError(label, "is not a version of the format", "schema", value=given, allowed=f"1 to {newest}")
     new, changes = upgraded_text(text, model, Source(label))
     if not changes:
         tell(f"{label}: nothing to change, of schema {newest} already")
@@ -54,7 +54,7 @@ def role_of(path: Path, label: str, reading: Reading) -> str:
             continue
         if found == role:
             return role
-    raise problem or ScenarioError(label, "is of no kind with an earlier version", allowed=_ALLOWED)
+    raise problem or ScenarioError(label, "is not of a kind that has an earlier version", allowed=_ALLOWED)
 
 
 def _role_by_keys(tree: TomlTable) -> str:

@@ -254,5 +254,5 @@ def _internal(error: Exception) -> str:
     how = "" if os.environ.get(TRACEBACK) else f"; {TRACEBACK}=1 in the environment shows the traceback"
     return (
         f"internal error: {what} ({os.path.basename(last.filename)}, line {last.lineno}); this is a fault in maxq, "
-        f"not of your input: please report it with the command and its input files{how}"
+        f"not in your input: please report it with the command and its input files{how}"
     )

@@ -518,7 +518,7 @@ def main() -> None:
     parser.add_argument("--named", action="store_true", help="of `plant`: the faults of harness_mutants.py as well")
     parser.add_argument("--also", type=Path, help="of `plant`: mutants of an earlier mutants.json too")
     parser.add_argument("--refused", default="", help="of `plant`: numbers of those that Numba refuses to compile")
-    parser.add_argument("--only", help="numbers of mutants, with commas; run again whatever results.jsonl says")
+    parser.add_argument("--only", help="comma-separated numbers of mutants, run again even if in results.jsonl")
     parser.add_argument("--budget", type=float, default=1e9, help="seconds of tests for a mutant, as mapped")
     given = parser.parse_intermixed_args()
     work = given.work.resolve()

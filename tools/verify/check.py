@@ -90,7 +90,7 @@ def execute(
             if _hashes(record, pack.prepared, found):
                 _results(pack, sample, random.Random(seed), found, progress)
             else:
-                found.differs.append("nothing was derived or computed again: the inputs are others")
+                found.differs.append("nothing was derived or computed again: the inputs differ")
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise CommandError(f"{place}: no verdict.json of this version of simverify ({error})") from error
     tell(
@@ -109,7 +109,7 @@ def _read(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise CommandError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from None
     except ValueError as error:
-        raise CommandError(f"{path}: is no JSON: {error}") from None
+        raise CommandError(f"{path}: is not JSON: {error}") from None
     missing = [
         k for k in ("asked", "files", "hashes", "attempt", "flights") if not isinstance(record, dict) or k not in record
     ]
@@ -133,7 +133,7 @@ def _files(folder: Path, record: dict[str, Any], found: Findings) -> None:
         if not path.resolve().is_relative_to(folder.resolve()) or not path.is_file():
             found.differs.append(f"file {name}: is missing")
         elif hashlib.sha256(path.read_bytes()).hexdigest() != known:
-            found.differs.append(f"file {name}: its SHA-256 is another")
+            found.differs.append(f"file {name}: its SHA-256 differs")
     wrong = sum(text.startswith("file ") for text in found.differs)
     found.agrees.append(f"{len(record['files']) - wrong} of {len(record['files'])} files of the pack, by their SHA-256")
 

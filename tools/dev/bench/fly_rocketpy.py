@@ -59,7 +59,7 @@ def _rocket() -> Any:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--causal", action="store_true")
-    parser.add_argument("rtol", nargs="?", type=float, default=1e-6, help="its default is 1e-6")
+    parser.add_argument("rtol", nargs="?", type=float, default=1e-6, help="relative tolerance (default 1e-6)")
     choice = parser.parse_args()
     causal = choice.causal
     warnings.filterwarnings("ignore")  # about the coarse rocket, which is intended

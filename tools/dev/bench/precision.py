@@ -101,7 +101,7 @@ def differences(a: Array, b: Array, sizes: Any) -> dict[str, float]:
 def _errors(course: Course, reference: Course) -> dict[str, Any]:
     """Return the errors of a flight at burnout, and the largest errors during the flight."""
     if set(course.states) != set(reference.states):
-        raise RuntimeError("two flights were looked at at different times")
+        raise RuntimeError("two flights were sampled at different times")
     all_of = [differences(course.states[t], reference.states[t], course.sizes) for t in sorted(course.states)]
     return {
         "evaluations_per_s": round(course.evaluations / (END_NS / NS)),

@@ -61,7 +61,7 @@ def main() -> int:
         "--peers",
         type=Path,
         default=REPOSITORY / ".venv-bench/bin/python",
-        help="Python of the environment that holds the programs compared with",
+        help="Python of the environment that has the programs for comparison",
     )
     parser.add_argument("--rounds", type=int, default=5, help="flights of each of these programs (default 5)")
     parser.add_argument("--repetitions", type=int, default=5, help="runs of each command (default 5)")

@@ -232,7 +232,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("page", nargs="*", type=Path, help="pages; all with quoted outputs if none is given")
     parser.add_argument("--check", action="store_true", help="change no page; exit code 1 if an output is out of date")
-    parser.add_argument("--short", action="store_true", help="leave the outputs of commands of minutes as they are")
+    parser.add_argument("--short", action="store_true", help="keep the outputs of commands that take minutes")
     given = parser.parse_args(arguments)
     wrong = 0
     for page in given.page or pages():

@@ -170,7 +170,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", default="", help="rows with this word in vehicle or name")
-    parser.add_argument("--write", action="store_true", help="made rows into docs/flights/results.md, for its own")
+    parser.add_argument("--write", action="store_true", help="write the rows into docs/flights/results.md")
     choice = parser.parse_args()
     folder = choice.folder.resolve()
     for vehicle, case in CASES.items():

@@ -118,7 +118,7 @@ def row(name: str, repetitions: int) -> str:
 def main() -> None:
     """Measure the coverage and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repetitions", type=int, default=200, help="of each limit state, with other draws each")
+    parser.add_argument("--repetitions", type=int, default=200, help="repetitions of each limit state")
     repetitions = parser.parse_args().repetitions
     head = "| limit state | probability | undecided | upper bound covers | lower covers | median / true | flights |"
     rewrite(DOCS / "verdicts.md", "rare", "\n".join([head, "|---" * 7 + "|", *(row(n, repetitions) for n in STATES)]))

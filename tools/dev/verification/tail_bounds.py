@@ -80,7 +80,7 @@ def row(name: str, repetitions: int) -> str:
 def main() -> None:
     """Measure the coverage and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repetitions", type=int, default=60, help="of each distribution")
+    parser.add_argument("--repetitions", type=int, default=60, help="repetitions of each distribution")
     repetitions = parser.parse_args().repetitions
     head = "| distribution | withheld | quantile bound covers | probability bound covers "
     head += "| wrong quantile bounds of all | wrong probability bounds of all |"
