@@ -428,8 +428,9 @@ def write_report(
 def nearest_limits(verdicts: Sequence[Judged]) -> list[Judged]:
     """Return the requirements that are nearest to being missed, at most six, those with the least margin first.
 
-    They have the most failures, then the worst run nearest to the limit in units of its distance from the median.
-    Requirements without a metric, or with equal values in all runs, are omitted.
+    A requirement with more failures is nearer. At equal failures, the distance of the worst run from the limit counts,
+    in units of its distance from the median. Requirements without a metric, or with equal values in all runs, are
+    omitted.
     """
 
     def excess(v: Judged) -> float:

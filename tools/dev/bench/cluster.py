@@ -72,8 +72,8 @@ async def _workers(address: str, count: int) -> None:
 def _measured(workers: int, processes: int, runs: int, flight_s: float | None, kill: bool) -> dict[str, Any]:
     """Return the rates of a campaign on `workers` Dask workers in the given number of processes.
 
-    Workers fly if `flight_s` is None, else they are simulated with this time per flight. If `kill` is True, one process
-    is killed after a third of the flights.
+    With `flight_s`, the processes only sleep for this time in place of each flight. If `kill` is True, one process is
+    killed after a third of the flights.
     """
     from distributed import Client  # noqa: PLC0415  # an extra
 
