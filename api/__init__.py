@@ -12,9 +12,9 @@
     made.bode(40.0), made.save("mine.toml")
     maxq.verify("mine.toml", "quick").judgement
 
-The names in ``__all__`` are the public API; docs/python.md states which changes are possible and when. Their
-dependencies are imported at first use. Invalid input raises a :class:`ScenarioError`, :class:`CampaignError` or
-:class:`LogError` of one line, which names file, key, value and the permitted values.
+The names in ``__all__`` are the public API; docs/python.md states which changes are possible and when. The modules of
+a function are imported when it is first called. Invalid input raises a :class:`ScenarioError`, :class:`CampaignError`
+or :class:`LogError` with a message of one line, which names the file, the key, the value and the permitted values.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:  # for type checkers and editors; _HOMES provides the same to the interpreter
+if TYPE_CHECKING:  # for type checkers and editors; the interpreter finds these names by _HOMES
     from pathlib import Path
 
     from distributed import Client
@@ -124,12 +124,18 @@ _HOMES = {
 """The modules that define the names which this module only exports."""
 
 if not os.path.isdir(os.path.join(__path__[0], "control")):
-    # an editable installation: the layers are not below this folder, but next to it
+    # in an editable installation, the layers are next to this folder and not below it
     __path__.append(os.path.dirname(__path__[0]))
 
 
 def load(path: str | Path, *overrides: str) -> LoadedScenario | LoadedCampaign:
-    """Load a scenario or a campaign: a file, or the name of a built-in one; `overrides` as "run.duration_s=10"."""
+    """Load a scenario or a campaign with all files that it names, and check it.
+
+    :param path: TOML file, or the name of a built-in scenario or campaign.
+    :param overrides: Changes of keys, such as ``"run.duration_s=10"``; ``"KEY="`` removes a key.
+    :returns: The campaign if the file has a table [campaign], else the scenario.
+    :raises ScenarioError: If a file or an override is invalid.
+    """
     from maxq.sim.campaign.read import load_campaign
     from maxq.sim.scenario.loader import is_campaign, load_scenario
 
@@ -139,9 +145,18 @@ def load(path: str | Path, *overrides: str) -> LoadedScenario | LoadedCampaign:
 
 
 def fly(scenario: LoadedScenario | str | Path, *overrides: str, folder: str | Path | None = None) -> Flight:
-    """Fly a scenario. With `folder`, log and summary are written there, and the channels are in the log (`read`).
+    """Fly a scenario.
 
-    The first flight of an installation compiles the simulator (about twenty seconds).
+    The first flight of an installation compiles the simulator, which takes about twenty seconds.
+
+    :param scenario: Loaded scenario, TOML file, or the name of a built-in scenario.
+    :param overrides: Changes of keys, such as ``"wind.speed_mps=5"``. For a loaded scenario, give them to :func:`load`.
+    :param folder: Folder for the log and the summary of the flight. By default, nothing is written.
+    :returns: The flight with its events, metrics and verdicts. Its channels over time are in memory or, with `folder`,
+        in the log only (:func:`read`).
+    :raises ScenarioError: If the scenario is invalid.
+    :raises LogError: If the log or the summary cannot be written.
+    :raises ValueError: If overrides are given for a loaded scenario.
     """
     from maxq.sim.run import fly as flying
     from maxq.sim.run.record import record
@@ -163,12 +178,21 @@ def campaign(
     workers: int | None = None,
     cluster: Client | str | None = None,
 ) -> DataSet:
-    """Fly a campaign into its folder (None: runs/NAME), or the runs that are missing there.
+    """Fly a campaign of dispersed flights, or those of its runs that are missing in its folder.
 
-    `runs` and `seed` replace those of the file. `workers` is the number of threads of this process, by default one per
-    core. `cluster` is a client of dask.distributed, or the address of a scheduler (``tcp://head:8786``), whose workers
-    fly the runs instead; a client remains open. The data set is the same, bit for bit. Raises CampaignError, and
-    ValueError for `workers` together with `cluster`.
+    The data set is the same, bit by bit, for any number of workers.
+
+    :param of: Loaded campaign, TOML file, or the name of a built-in campaign.
+    :param folder: Folder of the data set. The default is runs/NAME, with the name of the campaign.
+    :param runs: Number of runs, in place of that of the campaign.
+    :param seed: Seed of all draws, in place of that of the campaign.
+    :param workers: Number of threads of this process. The default is one for each core.
+    :param cluster: Client of dask.distributed, or the address of a scheduler (``tcp://head:8786``), whose workers fly
+        the runs in place of threads. A client remains open.
+    :returns: The data set of the campaign.
+    :raises ScenarioError: If the campaign file is invalid.
+    :raises CampaignError: If the folder is in use, cannot be written, or contains other data.
+    :raises ValueError: If both `workers` and `cluster` are given.
     """
     from pathlib import Path
 
@@ -188,7 +212,13 @@ def campaign(
 
 
 def read(path: str | Path) -> Log | DataSet:
-    """Read the results of a flight: a log, the folder of a flight, or that of a campaign."""
+    """Read the results of a flight or a campaign.
+
+    :param path: Log, folder of a flight, or folder of a campaign.
+    :returns: The data set if the folder contains a campaign, else the log.
+    :raises LogError: If the log cannot be read. A truncated log is read up to its last intact part.
+    :raises CampaignError: If the data set cannot be read.
+    """
     from pathlib import Path
 
     from maxq.sim.campaign.analysis import DataSet
@@ -203,10 +233,12 @@ def read(path: str | Path) -> Log | DataSet:
 
 
 def plot(of: Flight | Log, *names: str) -> Figure:
-    """Draw channels over time, one panel per unit, with the events of the flight as dotted lines.
+    """Draw channels over time, with a panel for each unit and the events of the flight as dotted lines.
 
-    `names` are channels or topics ("/truth"). Without names, the key channels are drawn. Returns a Matplotlib figure,
-    which a notebook shows and `.savefig(path)` writes. Raises KeyError for an unknown name.
+    :param of: Flight or log.
+    :param names: Channels or topics, such as ``"mach"`` or ``"/truth"``. Without names, the key channels are drawn.
+    :returns: A Matplotlib figure, which a notebook shows and `.savefig(path)` writes.
+    :raises KeyError: If a name is unknown.
     """
     from maxq.tools.plots.channels import channel_plot
 
@@ -214,17 +246,28 @@ def plot(of: Flight | Log, *names: str) -> Figure:
 
 
 def replay(*places: str | Path, save: str | Path | None = None) -> None:
-    """Show flights (logs, folders of flights or campaigns) in the viewer, or `save` them as a Rerun recording."""
+    """Show flights in the Rerun viewer, or save them as a Rerun recording.
+
+    :param places: Logs, folders of flights, or folders of campaigns.
+    :param save: File (.rrd) for the recording. By default, a window is opened; the function returns when it is closed.
+    :raises maxq.tools.replay.viewer.ReplayError: If no flight can be read, or if there is no viewer or no display.
+    """
     from maxq.tools import simreplay
 
     simreplay.show([str(place) for place in places] + (["--save", str(save)] if save is not None else []))
 
 
 def vehicle(layout: str | Path, folder: str | Path | None = None) -> Path:
-    """Build a vehicle from a layout, a file or a built-in one, in its folder (None: runs/NAME). Return the folder.
+    """Build a vehicle from a layout.
 
-    The folder contains `scenario.toml` to fly, `case.toml` to optimise, `suite.toml` to verify and `campaign.toml`.
-    Raises ScenarioError, and ValueError for a layout that cannot fly.
+    The folder contains `scenario.toml` to fly, `case.toml` to optimise, `suite.toml` to verify and `campaign.toml`. In
+    contrast to the command `simvehicle`, the first gains are not checked along their own flight.
+
+    :param layout: TOML file, or the name of a built-in layout.
+    :param folder: Folder of the vehicle. The default is runs/NAME, with the name of the layout.
+    :returns: The folder.
+    :raises ScenarioError: If the layout is invalid.
+    :raises ValueError: If the vehicle cannot fly.
     """
     from pathlib import Path
 
@@ -240,14 +283,32 @@ def vehicle(layout: str | Path, folder: str | Path | None = None) -> Path:
 
 
 def optimise(case: str | Path, *overrides: str) -> Designed:
-    """Optimise gain schedules and bending filter of a case: a file, or the name of a built-in one (`simdesign`)."""
+    """Optimise the gain schedules and the bending filter of a case (`simdesign`).
+
+    :param case: TOML file, or the name of a built-in case.
+    :param overrides: Changes of keys, such as ``"limits.gain_margin_db=7"``.
+    :returns: The design with its limits and margins. `meets_limits` is False if it misses a limit of the case.
+    :raises ScenarioError: If the case is invalid.
+    :raises ValueError: If no design of the case can be computed, for example without an operating point.
+    """
     from maxq.tools.design.designed import designed
 
     return designed(case, overrides)
 
 
 def verify(design: str | Path, suite: str | Path = "standard", *overrides: str) -> Verification:
-    """Judge a design by a suite (`simverify`). Parts with results from an earlier call are not computed again."""
+    """Judge a design by a suite (`simverify`).
+
+    Parts with results from an earlier call are recalled, and a sample of them is computed again and compared.
+
+    :param design: Design file, folder with a design.toml, or the name of a built-in design.
+    :param suite: TOML file, or the name of a built-in suite.
+    :param overrides: Changes of keys of the suite, such as ``"margins.cases=1000"``.
+    :returns: The verification, with the verdict in `judgement` and the judged requirements.
+    :raises ScenarioError: If the design or the suite is invalid. Nothing is flown in this case.
+    :raises maxq.sim.files.FileError: If the ledger cannot be written, or if a recalled result differs from its
+        computation.
+    """
     from maxq.design.laws.design_file import design_path
     from maxq.design.verify import memory
     from maxq.design.verify.suite import read_suite
@@ -257,7 +318,16 @@ def verify(design: str | Path, suite: str | Path = "standard", *overrides: str) 
 
 
 def bode(design: str | Path, time_s: float, scenario: str | Path = "nominal", plane: Plane = "pitch") -> Figure:
-    """Draw the Bode, Nichols and Nyquist plots of a design's sampled loop at a vehicle time of a scenario's flight."""
+    """Draw the Bode, Nichols and Nyquist plots of a design's sampled loop at one operating point.
+
+    :param design: Design file, folder with a design.toml, or the name of a built-in design.
+    :param time_s: Vehicle time of the operating point, s.
+    :param scenario: Scenario whose flight contains the operating point: TOML file, or the name of a built-in scenario.
+    :param plane: ``"pitch"`` or ``"yaw"``.
+    :returns: A Matplotlib figure, which a notebook shows and `.savefig(path)` writes.
+    :raises ScenarioError: If the design or the scenario is invalid.
+    :raises ValueError: If the time is outside the powered flight.
+    """
     from maxq.tools.design.designed import loop_figure
 
     return loop_figure(str(design), time_s, scenario, plane)
@@ -274,12 +344,23 @@ def loop(
     errata: Errata | str = "corrected",
     plant: PlantKind = "flown",
 ) -> Loop:
-    """Return a design's loop at one operating point.
+    """Return the open loop of a design at one operating point.
 
-    `where` is an operating point (`nodes`, `given_points`, `point_of_matrices`) with its own time and plane, or a
-    scenario, flown up to `time_s`. The `design` is loaded, a file, a built-in name, or None for the scenario's own. The
-    other arguments are those of `nodes` and `loops`. Raises ScenarioError, and ValueError for arguments that
-    are missing or not allowed.
+    :param where: Operating point with its own time and plane (:func:`nodes`, :func:`given_points`,
+        :func:`point_of_matrices`), or scenario: loaded, a TOML file, or the name of a built-in scenario.
+    :param design: Loaded design, file, or the name of a built-in design. The default is the design of the scenario.
+    :param time_s: Vehicle time of the operating point along the flight of the scenario, s.
+    :param plane: ``"pitch"`` or ``"yaw"``, for a scenario.
+    :param kind: Model of the computer: ``"sampled"`` as it runs, ``"pade"`` with the paper's continuous approximations,
+        or ``"exact"`` with exact continuous factors and no aliasing.
+    :param cut: Point at which the loop is opened: ``"gimbal_command"``, or the paper's ``"rate_command_to_q"`` and
+        ``"rate_command_to_q_m"`` (eq. 42). The latter two give no information about stability.
+    :param errata: Errata of the paper to correct, for a scenario: a preset (``"corrected"``, ``"paper"``) or switches.
+    :param plant: Plant for a scenario: ``"flown"``, or ``"table2"`` with the derivatives of the paper's Table 2.
+    :returns: The loop, for :func:`margins` and plots.
+    :raises ScenarioError: If the scenario or the design is invalid.
+    :raises ValueError: If `design` or `time_s` is missing, if the time is outside the powered flight, or if a value is
+        not allowed.
     """
     from pathlib import Path
 

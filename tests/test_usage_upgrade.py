@@ -236,9 +236,12 @@ MISTAKES = {
     ),
     "later version": (
         DESIGN.replace("schema = 1", "schema = 3"),
-        "none.toml: schema = 3: is no version of the format; allowed: 1 to 2",
+        "none.toml: schema = 3: is not a version of the format; allowed: 1 to 2",
     ),
-    "of another kind": ("[reference]\nlength_m = 2.0\n", "none.toml: is of no kind with an earlier version; allowed: "),
+    "of another kind": (
+        "[reference]\nlength_m = 2.0\n",
+        "none.toml: is not of a kind that has an earlier version; allowed: ",
+    ),
     "base that is not there": ('extends = "nowhere"\n[limits]\n', 'none.toml: extends = "nowhere": no such file'),
 }
 

@@ -141,7 +141,7 @@ def test_what_was_edited_in_a_pack_is_found(here: Path, capsys: pytest.CaptureFi
     found = _differs(said)
     assert [text for text in found if " by the results" not in text] == [
         "file figures/flights.csv: is missing",
-        "file review.html: its SHA-256 is another",
+        "file review.html: its SHA-256 differs",
         "ledger of attempts: its copy in the pack does not contain this attempt, its number or its verdict",
     ]
     derived = [text for text in found if " by the results" in text]
@@ -298,7 +298,7 @@ def test_other_inputs_are_found_and_nothing_is_computed(here: Path, capsys: pyte
     code, said = _run(capsys, "--check", "pack")
     assert code == 1
     assert {"input: suite: margins", "input: flight two seconds", "input: campaign 1, ksr3"} <= set(_differs(said))
-    assert "nothing was derived or computed again: the inputs are others" in said
+    assert "nothing was derived or computed again: the inputs differ" in said
     assert "flights, computed again" not in said
     _verdict(lambda verdict: verdict["hashes"].update(code="0"))
     assert "code: another version of maxq" in _run(capsys, "--check", "pack")[1]
@@ -368,14 +368,14 @@ def test_a_ledger_that_lost_attempts_of_a_pack_is_found(here: Path, capsys: pyte
     copy.write_text(copy.read_text().replace("undecided", "accepted"))
     _verdict(lambda verdict: verdict.update(verdict="accepted"))
     found = _differs(_run(capsys, "--check", "pack", "--sample", "0")[1])
-    assert found[:2] == ["file attempts.jsonl: its SHA-256 is another", "ledger of attempts: line 2 was changed"]
+    assert found[:2] == ["file attempts.jsonl: its SHA-256 differs", "ledger of attempts: line 2 was changed"]
 
 
 @pytest.mark.parametrize(
     ("content", "said"),
     [
         (None, "pack/verdict.json: cannot be read: no such file or directory"),
-        ("{", "pack/verdict.json: is no JSON: "),
+        ("{", "pack/verdict.json: is not JSON: "),
         ("[]", "pack/verdict.json: no verdict.json that can be checked: it has no asked"),
         ('{"asked": {}, "files": {}, "hashes": {}, "attempt": {}, "flights": []}', "of this version of simverify"),
     ],

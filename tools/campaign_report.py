@@ -33,13 +33,13 @@ from maxq.tools.plots.campaign import replay
 from maxq.tools.plots.figures import as_csv
 
 TAIL_NOTE = "quantile: that the required share does not exceed; fit: share of samples that fit worse, 0.05 is poor"
-_DRIVEN = 6  # requirements whose drivers are shown: those nearest to their limits
-_SHOWN = 3  # requirements in the line of progress: the tightest
-_NAMED = 8  # drivers in the summary of each
+_DRIVEN = 6  # most requirements whose drivers are shown, those nearest to their limits
+_SHOWN = 3  # most requirements in the line of progress, the tightest
+_NAMED = 8  # most drivers of a requirement in the summary
 
 
 def watcher(bar: terminal.Progress) -> Callable[[CampaignProgress], None]:
-    """Return a function that shows runs, rate, time left, failures, and the worst runs of the tightest requirements."""
+    """Return a function that shows the runs, their rate, the time left, the failures, and the tightest requirements."""
 
     def show(progress: CampaignProgress) -> None:
         interim = progress.interim
@@ -65,18 +65,18 @@ def duration(seconds: float) -> str:
 
 
 def labels_of(campaign: LoadedCampaign) -> dict[str, str]:
-    """Return names for texts, by column."""
+    """Return the labels of the draws for texts, by column."""
     return {d.name: d.label for d in campaign.plan.draws}
 
 
-ReportRows = list[tuple[str, ...]]  # of a table; the first is its head
-_TEXTS = ("requirement", "verdict", "limit")  # heads of columns that hold no numbers
+ReportRows = list[tuple[str, ...]]  # rows of a table; the first is its head
+_TEXTS = ("requirement", "verdict", "limit")  # heads of columns without numbers
 _DISPENSABLE = ("at least", "success", "allowed", "bound", "quantile", "median", "to go", "failed", "run")
-"""The heads, or their last words, of the columns that a narrow terminal omits, in this order."""
+"""The heads, or their last words, of the columns that a narrow terminal omits, in the order of omission."""
 
 
 def requirement_rows(data: DataSet, verdicts: Sequence[Judged]) -> ReportRows:
-    """Return the table of verdicts, those with the least margin first, without its empty columns."""
+    """Return the table of verdicts without its empty columns, those with the least margin first."""
     campaign = data.campaign.campaign
     quantile, bound = f"{100 * campaign.success:g} % quantile", f"{100 * campaign.confidence:g} % bound"
     rows = [_requirement(v, quantile, bound, campaign.success) for v in tightest_first(verdicts)]
@@ -131,14 +131,14 @@ def meanings_of(success: float, confidence: float) -> dict[str, dict[str, str]]:
 
 
 def number_columns(rows: ReportRows) -> list[int]:
-    """Return the columns of a table of verdicts that hold numbers."""
+    """Return the indices of the columns of a table of verdicts that contain numbers."""
     return [i for i, head in enumerate(rows[0]) if head not in _TEXTS]
 
 
 def _requirement(v: Judged, quantile: str, bound: str, success: float) -> dict[str, str]:
-    """Return a row of the table of verdicts by the heads of its columns.
+    """Return a row of the table of verdicts, by the heads of its columns.
 
-    A quantile between the two worst runs is an interpolation of little value and is omitted.
+    A quantile between the two worst runs, which is an interpolation of little value, is omitted.
     """
     shown, (_, factor) = v.shown, v.unit_factor
     worst, limit, unit = v.worst_text
@@ -162,7 +162,7 @@ def _requirement(v: Judged, quantile: str, bound: str, success: float) -> dict[s
 
 
 def _varies(v: Judged) -> bool:
-    """Return True if one run is worse than others."""
+    """Return True if the worst run is worse than the median."""
     return bool(v.worst) and v.worst[0].value != v.median
 
 
@@ -171,14 +171,16 @@ def _finite(value: float) -> str:
 
 
 def value_text(value: object) -> str:
-    """Return a number with four significant digits, or "" for None or nan."""
+    """Return a number with four significant digits, or "" for None and NaN."""
     if isinstance(value, float):
         return _finite(value)
     return "" if value is None else str(value)
 
 
 def headline(data: DataSet, verdicts: Sequence[Judged]) -> str:
-    """Return the campaign in one line: the verdict, the decisive requirement with numbers, and failed runs."""
+    """Return the outcome of a campaign in one line: the verdict, the decisive requirement with numbers, and failed
+    runs.
+    """
     campaign, runs = data.campaign.campaign, len(data.runs)
     if runs == 0:
         return "NO RUNS: no verdict is possible"
@@ -203,8 +205,9 @@ def headline(data: DataSet, verdicts: Sequence[Judged]) -> str:
 
 
 def _failures(v: Judged) -> str:
-    """Return the frequency with which a requirement is missed, and its worst run: "roll error 2.138 deg > 2 deg in 7 of
-    2000 runs".
+    """Return the frequency with which a requirement is missed, with its worst run.
+
+    An example is "roll error 2.138 deg > 2 deg in 7 of 2000 runs (worst: run 17)".
     """
     often = f"in {v.shown.failures} of {v.shown.runs} runs"
     if not v.metric or not v.worst or meets(v.worst[0].value, v.kind, v.bound):
@@ -215,7 +218,7 @@ def _failures(v: Judged) -> str:
 
 
 def _tightest(ordered: Sequence[Judged]) -> list[str]:
-    """Return the used share of the requirement whose worst run has the least margin."""
+    """Return a list with a text on the utilisation of the tightest requirement, empty if it is missed or unknown."""
     first = next((v for v in ordered if math.isfinite(v.utilisation)), None)
     if first is None or first.shown.failures:
         return []
@@ -241,7 +244,7 @@ def next_step(data: DataSet, verdicts: Sequence[Judged]) -> str:
 
 
 def how_judged(data: DataSet, verdicts: Sequence[Judged]) -> str:
-    """Return the test that gave the verdicts, in a sentence."""
+    """Return a sentence on the test that gave the verdicts, and on runs that are not judged."""
     said = f"judged by the {verdicts[0].shown.test}" if verdicts else ""
     if verdicts and verdicts[0].shown.test == ANY_TIME:
         said += ", which is valid at any number of runs"
@@ -253,7 +256,7 @@ Tails = Sequence[tuple[Judged, Tail]]
 
 
 def tails_of(data: DataSet, verdicts: Sequence[Judged]) -> Tails:
-    """Return the peaks over threshold of the requirements nearest to their limits, or with the largest excess."""
+    """Return the tails, by peaks over threshold, of the requirements selected by `nearest_limits`."""
     campaign = data.campaign.campaign
 
     def tail(v: Judged) -> Tail:
@@ -264,12 +267,12 @@ def tails_of(data: DataSet, verdicts: Sequence[Judged]) -> Tails:
 
 
 def tails_shown(tails: Tails) -> bool:
-    """Return True if there is an estimate, or one that is withheld because of its largest values."""
+    """Return True if there is an estimate, or an estimate that is withheld because of the largest values."""
     return any(not (tail.problem and math.isnan(tail.largest)) for _, tail in tails)
 
 
 def tail_rows(tails: Tails) -> ReportRows:
-    """Return the table of tails, with values in the unit of the limit."""
+    """Return the table of tails, with values in the units of the limits."""
     rows: ReportRows = [
         (
             "tail",
@@ -298,7 +301,7 @@ def tail_rows(tails: Tails) -> ReportRows:
 
 
 def month_rows(months: Sequence[Month]) -> ReportRows:
-    """Return the table of launch availability."""
+    """Return the table of launch availability by month."""
     rows: ReportRows = [("month", "flights", "all limits met", "at least", "at most", "first that missed")]
     for m in months:
         shares = (f"{100.0 * share:.1f} %" for share in (m.share, m.least, m.most))
@@ -307,7 +310,7 @@ def month_rows(months: Sequence[Month]) -> ReportRows:
 
 
 def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], tails: Tails = ()) -> list[str]:
-    """Return the printed text about a campaign's results, without the last line."""
+    """Return the printed lines on the results of a campaign, without the last line."""
     scenario = data.campaign.base.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
     ends = ", ".join(f"{count} {outcome}" for outcome, count in sorted(Counter(data.outcomes).items()))
@@ -344,7 +347,7 @@ def report(data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], ta
     return lines
 
 
-# the report
+# The report
 
 
 def write_report(
@@ -357,9 +360,10 @@ def write_report(
     settled: bool = False,
     pictures: bool = True,
 ) -> list[Path]:
-    """Write all results, or without `pictures` the summary alone. Return the files. Raises CampaignError.
+    """Write all results, or without `pictures` only the summary. Return the paths of the files.
 
-    `settled` is True if the campaign was stopped as soon as every verdict was settled.
+    `total` is the number of runs of the whole campaign. `settled` is True if the campaign was stopped as soon as every
+    verdict was settled. Raises CampaignError.
     """
     sample = analysis.sample_of(data)
     inputs = analysis.inputs_of(sample) if len(data.runs) else {}
@@ -422,10 +426,11 @@ def write_report(
 
 
 def nearest_limits(verdicts: Sequence[Judged]) -> list[Judged]:
-    """Return the requirements whose worst run, measured by the spread of the runs, comes nearest to the limit or
-    exceeds it most. They are in the order of the report, those with the least margin first.
+    """Return the requirements that are nearest to being missed, at most six, those with the least margin first.
 
-    Requirements with equal runs are omitted.
+    A requirement with more failures is nearer. At equal failures, the distance of the worst run from the limit counts,
+    in units of its distance from the median. Requirements without a metric, or with equal values in all runs, are
+    omitted.
     """
 
     def excess(v: Judged) -> float:

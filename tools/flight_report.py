@@ -1,4 +1,4 @@
-"""The text that a command prints about a flight: requirements, events, metrics, and the verdict as the last line."""
+"""The text that a command prints on a flight: requirements, events, metrics, and the verdict as the last line."""
 
 from __future__ import annotations
 
@@ -32,12 +32,15 @@ _FINAL = (
     "bend_pitch_gimbal_m",
     "bend_yaw_gimbal_m",
 )
-"""The part of the state of a diverged flight that is printed. summary.json contains all of it."""
-_TIGHT = 0.95  # used share of a limit from which on a hint is given
+"""The part of the final state that is printed for a diverged flight. summary.json contains the whole state."""
+_TIGHT = 0.95  # utilisation of a limit from which a hint is given
 
 
 def report(flight: Flight, files: list[Path], total_s: float) -> str:
-    """Return the text about a flight that a command prints. Its last line is the verdict."""
+    """Return the text that a command prints on a flight. Its last line is the verdict.
+
+    `files` are the written files. `total_s` is the wall-clock time of the command.
+    """
     scenario = flight.scenario.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
     head = [title, *(f"warning: {printable(warning)}" for warning in flight.scenario.warnings)]
@@ -52,7 +55,7 @@ def report(flight: Flight, files: list[Path], total_s: float) -> str:
 
 
 def verdict_line(flight: Flight) -> str:
-    """Return the flight in one line: its outcome, the decisive requirement with numbers, and remarks."""
+    """Return the outcome of a flight in one line, with the decisive requirement in numbers and remarks."""
     if flight.outcome == "interrupted":
         return f"INTERRUPTED at {flight.end_s:.3f} s of flight"
     verdicts = tightest_first(flight.verdicts)
@@ -70,7 +73,9 @@ def verdict_line(flight: Flight) -> str:
 
 
 def _missed(verdict: Verdict) -> str:
-    """Return the name, value, limit and time of a missed requirement: "roll error 2.138 deg > 2 deg at 59.280 s"."""
+    """Return the name, value, limit and time of a missed requirement, such as "roll error 2.138 deg > 2 deg at 59.280
+    s".
+    """
     value, limit, unit = verdict.shown
     unit = f" {unit}" if unit else ""
     if math.isnan(verdict.value):
@@ -80,7 +85,7 @@ def _missed(verdict: Verdict) -> str:
 
 
 def _tightest(verdicts: Sequence[Verdict]) -> list[str]:
-    """Return the used share of the requirement with the least margin, or None if no limit has a share."""
+    """Return a list with a text on the utilisation of the tightest requirement, empty if no utilisation is known."""
     if not verdicts or not math.isfinite(verdicts[0].utilisation):
         return []
     first = verdicts[0]
@@ -119,7 +124,7 @@ def _metrics(flight: Flight) -> list[str]:
 
 
 def requirement_cells(verdict: Verdict) -> tuple[str, str, str, str]:
-    """Return name, value, limit and used share of a requirement, as tables print them."""
+    """Return the name, value, limit and utilisation of a requirement as cells of a table."""
     return printable(verdict.name), verdict.shown[0], verdict.limit_text, share_text(verdict.utilisation)
 
 

@@ -1,4 +1,4 @@
-"""JSON Schemas of all files that a user writes, made from the models that check them: `simrun schema KIND`."""
+"""The JSON Schemas of all files that a user writes, made from the models that check them: `simrun schema KIND`."""
 
 from __future__ import annotations
 
@@ -39,8 +39,9 @@ _UNSET = {"type": "array", "items": {"type": "string"}, "description": "keys of 
 
 
 def json_schema(kind: str) -> dict[str, Any]:
-    """Return the JSON Schema (2020-12) of a file as a user writes it, with `extends`, and file names in place of
-    content.
+    """Return the JSON Schema (2020-12) of a kind of file in the form that a user writes.
+
+    It allows `extends`, and the names of files in place of their content.
     """
     if kind == "campaign":
         return _campaign()
@@ -59,13 +60,14 @@ def json_schema(kind: str) -> dict[str, Any]:
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | cleaned
 
 
-_KEPT = ("default", "enum", "required")  # values, no schemas
+_KEPT = ("default", "enum", "required")  # keys with values, not schemas
 
 
 def _as_written(node: Any, name: str = "") -> Any:
-    """Return the schema of values that TOML can represent: without null (optional keys are omitted) and without titles.
+    """Return a schema for values that TOML can represent: without null, since optional keys are omitted, and without
+    titles.
 
-    Each number has the range for the `name` of its key or column, if it has no bound of its own.
+    Each number has the range for the `name` of its key or column, unless it has bounds of its own.
     """
     if isinstance(node, list):
         return [_as_written(item, name) for item in node]

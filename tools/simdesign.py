@@ -1,4 +1,4 @@
-"""The command `simdesign`: optimise a control design, or judge one.
+"""The command `simdesign`: optimise or analyse a control design.
 
 Expensive modules are imported only once the task is known.
 """
@@ -167,7 +167,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _between(least: float, text: str, most: float = float("inf")) -> float:
-    """Return a parser of numbers of at least `least` and at most `most`."""
+    """Parse a number from `least` to `most`. Raises argparse.ArgumentTypeError."""
     value = number(text)
     if value < least or value > most:
         raise argparse.ArgumentTypeError(f"{text!r} is not from {least:g} to {most:g}")
@@ -232,7 +232,7 @@ def _bias(**given: Any) -> int:
 
 
 def _folder(out: str | None, case: str, cases: int) -> str | None:
-    """Return the folder of a case: with several cases, each has one inside --out."""
+    """Return the folder for the results of a case. Each of several cases has a folder inside `out`."""
     if out is None or cases == 1:
         return out
     return os.path.join(out, os.path.basename(case).removesuffix(".toml"))

@@ -1,4 +1,7 @@
-"""The command `simreplay`: view flights. Expensive modules are imported only once the task is known."""
+"""The command `simreplay`: show flights.
+
+Expensive modules are imported only once the task is known.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +62,10 @@ def _parser() -> Parser:
 
 
 def show(arguments: list[str]) -> int:
-    """Run the command from Python. Invalid input raises."""
+    """Run the command from Python and return its exit code. Raises ReplayError if nothing can be shown.
+
+    Wrong arguments end the process, as on the command line.
+    """
     options = _parser().read(arguments)
     from maxq.tools.replay.run import execute  # noqa: PLC0415  # lazy
 

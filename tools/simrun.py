@@ -1,4 +1,7 @@
-"""The command `simrun`: fly a scenario. Expensive modules are imported only once the task is known."""
+"""The command `simrun`: fly scenarios and campaigns.
+
+Expensive modules are imported only once the task is known.
+"""
 
 from __future__ import annotations
 
@@ -221,8 +224,11 @@ def _run(arguments: list[str]) -> int:
 
 
 def _in_present_form(arguments: list[str]) -> list[str]:
-    """Return the arguments with a subcommand in place of an option that names the task: --copy NAME DIR, --schema KIND,
-    --upgrade FILE, --search KEY, or --from LOG or DIR with --run, --shrink, --search or --rare."""
+    """Return the arguments with a subcommand in place of an option of an earlier version that names the task.
+
+    Such options are --copy NAME DIR, --schema KIND, --upgrade FILE, --search KEY, and --from LOG, or --from DIR with
+    --run, --shrink, --search or --rare.
+    """
     parted = tuple(f"{name}=" for name in (*_FORMER, "--search", "--rare"))
     words = [part for word in arguments for part in (word.split("=", 1) if word.startswith(parted) else [word])]
     asked = next((word for word in words if word in _FORMER), None)
@@ -253,9 +259,9 @@ def _command_for(name: str) -> str:
 
 
 def _refuse_result(name: str) -> None:
-    """Raise CommandError if a log, or the path of a folder with one, is given instead of a scenario.
+    """Raise CommandError if a log, or the path of a folder with a log, is given in place of a scenario.
 
-    A name without a separator may be that of a built-in scenario, even if a folder of that name exists.
+    A name without a separator may be that of a built-in scenario, even if there is a folder of that name.
     """
     log = name if name.endswith(".mcap") else os.path.join(name, "flight.mcap") if os.sep in name else ""
     if os.path.isfile(log):
@@ -264,7 +270,7 @@ def _refuse_result(name: str) -> None:
 
 
 def _fly(**given: Any) -> int:
-    start_s = time.perf_counter()  # before the heavy imports
+    start_s = time.perf_counter()  # before the expensive imports
     announce("loading the simulator")
     _refuse_result(given.get("scenario", ""))
     if command.alone:
@@ -312,7 +318,7 @@ def _upgrade(file: str) -> int:
 
 
 def _kept(text: str) -> str:
-    """Return the numbers of the runs to keep."""
+    """Check and return a selection of runs whose logs are kept. Raises argparse.ArgumentTypeError."""
     from maxq.sim.campaign.schema import KEEP_ALLOWED, keep_is_known  # noqa: PLC0415  # lazy
 
     if not keep_is_known(text):
@@ -323,8 +329,8 @@ def _kept(text: str) -> str:
 def _load_numba_without_blas() -> None:
     """Load Numba without its search for BLAS, which imports scipy.linalg and takes 0.2 s.
 
-    Kernels use no linear algebra (CONTRIBUTING.md). Therefore, this process, which ends after the flight, marks
-    scipy.linalg as unavailable.
+    Kernels use no linear algebra (CONTRIBUTING.md). The process ends after the flight, so scipy.linalg may be marked as
+    unavailable during the import.
     """
     blas = "scipy.linalg.cython_blas"
     if blas in sys.modules:

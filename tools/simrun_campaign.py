@@ -34,7 +34,7 @@ from maxq.tools.flight_report import report
 from maxq.tools.replay.viewer import ReplayError
 from maxq.tools.simrun_fly import show_flight, viewer_needed
 
-_LINE_S = 30.0  # between two lines of progress in the log of a batch system
+_LINE_S = 30.0  # interval between lines of progress in the log of a batch system
 _SEARCH_FLIGHTS = 2000
 _RARE_FLIGHTS = 10_000
 
@@ -54,9 +54,10 @@ def fly_campaign(
     keep: tuple[str, ...] = (),
     no_report: bool = False,
 ) -> int:
-    """Fly, resume or enlarge a campaign.
+    """Fly, resume or enlarge a campaign, and return the exit code.
 
-    Return the exit code, as all functions here do. They raise the errors that `cli.frame.run` reports on one line.
+    All functions for a subcommand return the exit code, and raise the errors that `cli.frame.run` reports on one line.
+    The arguments are the options of the subcommand.
     """
     start_s = time.perf_counter()
     changes = {name: value for name, value in (("runs", runs), ("seed", seed)) if value is not None}
@@ -95,9 +96,10 @@ def fly_campaign(
 
 
 def _tell(data: DataSet, total: int, flown: str, pictures: bool, start_s: float, settled: bool, complete: bool) -> int:
-    """Write summary, pictures and report, print the results, and return the exit code.
+    """Write the summary and the report, print the results, and return the exit code.
 
-    If the campaign is not `complete`, the next step is to resume it, which its last line says.
+    `total` is the number of runs of the campaign. `flown` is a text on the flights of this call. The next step is
+    printed only if the campaign is `complete`; otherwise, the caller prints how to resume it.
     """
     announce("writing the report")
     verdicts, losses = judged(data), lost(data)
@@ -117,9 +119,8 @@ def _tell(data: DataSet, total: int, flown: str, pictures: bool, start_s: float,
 
 
 def report_again(folder: str, *, keep: tuple[str, ...] = (), no_report: bool = False) -> int:
-    """Judge a campaign that was flown, write its report again, and return the exit code.
-
-    `keep`: runs to fly again with a full log.
+    """Judge a flown campaign, write its report again, and return the exit code. The runs `keep` are flown with a full
+    log.
     """
     start_s = time.perf_counter()
     place = Path(folder)
@@ -131,7 +132,7 @@ def report_again(folder: str, *, keep: tuple[str, ...] = (), no_report: bool = F
 
 
 def _keep(campaign: LoadedCampaign, folder: Path, keep: tuple[str, ...], stop: Stop) -> None:
-    """Fly the chosen runs again, with a full log."""
+    """Fly the selected runs again with a full log. Runs that already have a log are skipped."""
     runs = selected(DataSet(folder, campaign), keep) if keep else []
     with Progress() as progress:
         for n, run in enumerate(runs):
@@ -155,7 +156,9 @@ def fly_run(
     view: bool = False,
     view_port: int | None = None,
 ) -> int:
-    """Fly a run of a campaign again, compare it with the data set, and show its log on request."""
+    """Fly a run of a campaign again, compare it with the data set, and show its log on request. Return the exit
+    code.
+    """
     start_s = time.perf_counter()
     seen = None
     if view or view_port is not None:
@@ -182,15 +185,15 @@ def fly_run(
     if seen is not None:
         try:
             seen.show(again.folder / LOG_NAME)
-        except ReplayError as error:  # the flight is complete and its log is written: the verdict remains
+        except ReplayError as error:  # the flight is complete and its log is written, so the verdict remains
             say("simrun", f"--view: {error}")
     return Exit.OK if again.flight.passed and again.same is not False else Exit.FAILED
 
 
 def shrink(folder: str, run: int, *, workers: int | None = None) -> int:
-    """Find the fewest dispersions with which a run fails, as DIR/shrunk/run-000417.toml.
+    """Find the fewest dispersions with which a run fails, and write them to a file such as DIR/shrunk/run-000417.toml.
 
-    Exit code 1 means that it fails.
+    The exit code is 1 if the run fails, and 0 if it does not.
     """
     place = Path(folder)
     campaign = campaign_in(place)
@@ -229,9 +232,9 @@ def shrink(folder: str, run: int, *, workers: int | None = None) -> int:
 
 
 def search(folder: str, metric: str, *, runs: int = _SEARCH_FLIGHTS, workers: int | None = None) -> int:
-    """Find the worst flight within 3 sigma, as DIR/worst/METRIC.toml.
+    """Find the worst flight within 3 sigma, and write it to DIR/worst/METRIC.toml.
 
-    Exit code 1 means that it misses a requirement.
+    The exit code is 1 if this flight fails.
     """
     if metric not in METRIC_NAMES:
         hint = suggestion(metric, METRIC_NAMES)
@@ -278,7 +281,7 @@ def search(folder: str, metric: str, *, runs: int = _SEARCH_FLIGHTS, workers: in
 
 
 def rare(folder: str, metric: str, *, runs: int = _RARE_FLIGHTS, workers: int | None = None) -> int:
-    """Estimate the probability of missing a requirement, by subset simulation. The exit code is that of a campaign."""
+    """Estimate the probability of missing a requirement by subset simulation. The exit code is that of a campaign."""
     place, start_s = Path(folder), time.perf_counter()
     campaign = campaign_in(place)
     asked = [r for r in campaign.base.scenario.requirement if r.metric == metric]
@@ -327,7 +330,10 @@ def rare(folder: str, metric: str, *, runs: int = _RARE_FLIGHTS, workers: int | 
 
 
 def _nearest(campaign: LoadedCampaign, folder: Path, metric: str, point: tuple[np.ndarray, int]) -> list[str]:
-    """Write the most probable flight that missed, and return its largest deviations."""
+    """Write the most probable of the flights that missed, and return lines on its largest deviations.
+
+    `point` contains the standard normal scores and the noise number of this flight.
+    """
     z, noise = point
     drawn, _ = campaign.plan.of_scores(z[None], np.array([noise]))
     path = folder / "rare" / f"{metric}.toml"

@@ -24,7 +24,7 @@ from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress, announce, tell
 from maxq.tools.flight_report import report
 
-_VALUE_BYTES = 5.9  # of a log, compressed: 102 MB of the nominal flight over its values
+_VALUE_BYTES = 5.9  # of a compressed log: 102 MB of the nominal flight divided by its number of values
 _LARGE_MB = 100.0
 
 
@@ -40,7 +40,7 @@ def execute(
     view_port: int | None = None,
     realtime: float | None = None,
 ) -> int:
-    """Fly a scenario, or the one in a log. Return the exit code.
+    """Fly a scenario, or the scenario in a log. Return the exit code.
 
     `start_s` is `time.perf_counter()` at the start of the command. The other arguments are the options.
     """
@@ -50,7 +50,7 @@ def execute(
     folder = _folder(log, out, loaded.name, overrides)
     if folder is not None:
         check_writable(folder, LogError)
-    loaded.warnings  # noqa: B018  # computed here, so that an error in them precedes the flight
+    loaded.warnings  # noqa: B018  # computed here, so that an error in the warnings precedes the flight
     loaded_s = time.perf_counter()
     announce("loading the compiled flight")
     live = None
@@ -59,7 +59,7 @@ def execute(
             from maxq.tools.replay.live import LiveView  # noqa: PLC0415  # lazy: rerun takes half a second
 
             live = LiveView(loaded, view_port)
-    with Progress():  # which reports the compilation of kernels
+    with Progress():  # reports the compilation of kernels
         if live is None:
             run = FlightRun(loaded, packed, log=folder is not None and not no_log)
         else:
@@ -100,7 +100,7 @@ def execute(
 
 
 def show_flight(progress: Progress, run: FlightRun) -> None:
-    """Show a flight's progress. It is a share of the duration only if no event may end the flight before."""
+    """Show the progress of a flight. It is a share of the duration only if no event can end the flight earlier."""
     limits = run.loaded.scenario.run
     end_s = limits.start_s + limits.duration_s
     if limits.stop_at:
@@ -111,7 +111,7 @@ def show_flight(progress: Progress, run: FlightRun) -> None:
 
 @contextmanager
 def viewer_needed() -> Iterator[None]:
-    """Open the viewer before the flight. Raises CommandError if there is none."""
+    """Convert the errors of opening a viewer within the block into a CommandError on --view."""
     from maxq.tools.replay.viewer import check_installed  # noqa: PLC0415  # lazy: flights without a view do not need it
 
     try:
@@ -134,8 +134,9 @@ def _load(scenario: str, log: str | None, overrides: tuple[str, ...]) -> tuple[L
 def _folder(log: str | None, out: str | None, name: str, overrides: tuple[str, ...]) -> Path | None:
     """Return the folder for the results, or None for a log that is flown again without --out.
 
-    A scenario that --set changes has its own folder, named by a hash of the changes. It does not replace the result of
-    the plain scenario, and the same command replaces its own result.
+    A scenario that --set changes has a separate folder, named by a hash of the changes. Its result does not replace
+    that of the plain scenario, but the same command replaces its own result. Raises LogError if the log to be flown
+    again would be replaced.
     """
     if out is None:
         plain = plain_name(name, "flight")
@@ -158,7 +159,7 @@ def announce_log(run: FlightRun) -> None:
 
 
 def _scenario_text(logged: LoggedRun) -> str:
-    """Return the scenario as flown from a log. Raises LogError if the log contains none."""
+    """Return the scenario as flown that a log contains. Raises LogError if it contains none."""
     attachment = logged.attachments.get(record.SCENARIO_ATTACHMENT)
     if attachment is None:
         raise LogError(f"{logged.path}: the log holds no scenario ({record.SCENARIO_ATTACHMENT})")
@@ -166,8 +167,9 @@ def _scenario_text(logged: LoggedRun) -> str:
 
 
 class Comparison:
-    """The comparison of a flight with that of a log, by the hash of state, time, metrics and events at the end of the
-    log.
+    """The comparison of a flight with a log, by the hash of state, time, metrics and events at the end of the log.
+
+    `logged` is None for a flight that is not compared. `changed` is True if overrides change the scenario.
     """
 
     def __init__(self, logged: LoggedRun | None, changed: bool = False) -> None:
@@ -178,14 +180,16 @@ class Comparison:
         self._hash = ""
 
     def look(self, run: FlightRun) -> None:
-        """Update the comparison. Call it before the flight and after every segment."""
+        """Store the hash if the flight is at the end of the log. Call this before the flight and after every
+        segment.
+        """
         if int(run.memory.clock.now_ns) == self._end_ns:
             self._hash = run.state_hash()
 
     def verdict(self, flight: Flight) -> bool:
         """Print the result of the comparison.
 
-        Return False if the flight differs, or could not be compared as required.
+        Return False if the flight differs, or if it could not be compared as required.
         """
         if self._logged is None:
             return True

@@ -21,7 +21,11 @@ from maxq.tools.flight_report import requirement_cells, verdict_line
 def execute(
     scenario: str, key: str, *, start: float | None = None, end: float | None = None, overrides: tuple[str, ...] = ()
 ) -> int:
-    """Search from `start` (None: the scenario's value, 0 if it has none) to `end`. Return the exit code."""
+    """Search for the limit between `start` and `end`, print the flights, and return the exit code.
+
+    `start` is by default the scenario's value, or 0 if it has none. Without `end`, the steps double until a requirement
+    is missed. Raises CommandError.
+    """
     first = _present(scenario, key, overrides) if start is None else start
     if end == first:
         raise CommandError(f"--end {end:g}: the search begins at this value; --start sets another")
@@ -64,7 +68,10 @@ def execute(
 
 
 def _present(scenario: str, key: str, overrides: tuple[str, ...]) -> float:
-    """Return the scenario's value of a key, 0 if it has none or needs one. Raises ScenarioError if it is no number."""
+    """Return the scenario's value of a key, or 0 if it has no value or cannot be loaded without this key.
+
+    Raises ScenarioError if the value is not a number.
+    """
     try:
         found: Any = told(load_scenario(scenario, overrides).scenario)
     except ScenarioError:
@@ -83,7 +90,9 @@ def _present(scenario: str, key: str, overrides: tuple[str, ...]) -> float:
 
 
 def _tightest(flight: Flight) -> tuple[str, str, str, str]:
-    """Return name, value, limit and used share of the requirement with the least margin."""
+    """Return the name, value, limit and utilisation of the requirement with the least margin, or the failure of the
+    flight.
+    """
     if flight.failures:
         return printable(flight.failures[0]), "", "", ""
     if not flight.verdicts:

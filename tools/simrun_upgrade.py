@@ -1,5 +1,6 @@
-"""The subcommand `simrun upgrade FILE`: convert a design, case or suite of an earlier version of maxq to the present
-format.
+"""The subcommand `simrun upgrade FILE`: convert a file of an earlier version of maxq to the present format.
+
+It converts designs, cases, suites, scenarios and campaigns.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ def execute(name: str) -> int:
     model = MODELS[role_of(path, label, reading)]
     newest, given = newest_version(model), parse(text, Source(label)).get("schema")
     if given is not None and (type(given) is not int or not 1 <= given <= newest):
-        raise ScenarioError(label, "is no version of the format", "schema", value=given, allowed=f"1 to {newest}")
+        raise ScenarioError(label, "is not a version of the format", "schema", value=given, allowed=f"1 to {newest}")
     new, changes = upgraded_text(text, model, Source(label))
     if not changes:
         tell(f"{label}: nothing to change, of schema {newest} already")
@@ -43,7 +44,7 @@ def execute(name: str) -> int:
 
 
 def role_of(path: Path, label: str, reading: Reading) -> str:
-    """Return the kind of a file by its keys and those of the files that it extends. Raises ScenarioError."""
+    """Return the kind of a file, by its keys and those of the files that it extends. Raises ScenarioError."""
     problem: ScenarioError | None = None
     for role in ("suite", "case", "design", "scenario"):
         try:
@@ -53,7 +54,7 @@ def role_of(path: Path, label: str, reading: Reading) -> str:
             continue
         if found == role:
             return role
-    raise problem or ScenarioError(label, "is of no kind with an earlier version", allowed=_ALLOWED)
+    raise problem or ScenarioError(label, "is not of a kind that has an earlier version", allowed=_ALLOWED)
 
 
 def _role_by_keys(tree: TomlTable) -> str:

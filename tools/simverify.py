@@ -74,7 +74,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _date(text: str) -> str:
-    """Return a date, unchanged after a check."""
+    """Check a date in ISO format, and return it unchanged. Raises argparse.ArgumentTypeError."""
     try:
         datetime.date.fromisoformat(text)
     except ValueError:

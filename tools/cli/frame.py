@@ -1,6 +1,6 @@
-"""The common frame of the commands: exit codes, messages, interruption, the end of the process.
+"""The common frame of the commands: exit codes, messages, interruption, and the end of the process.
 
-No expensive module is imported here: `simrun --help` takes less than 0.1 s.
+No expensive module is imported here, so that `simrun --help` takes less than 0.1 s.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 FIRST = ("nominal", "campaigns/first", "ksr3-identical", "ksr3-default", "standard")
 """The built-in files for beginners, which --list names first."""
 TRACEBACK = "MAXQ_TRACEBACK"
-"""The environment variable with which an error shows its traceback, too."""
+"""The environment variable that makes an error print its traceback too."""
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # options of glibc's malloc.h, in bytes
 
 
 class Exit(IntEnum):
-    """The exit codes of all commands. Each command's --help lists the specific meaning of 0, 1 and 3."""
+    """The exit codes of all commands. The --help of each command lists the specific meanings of 0, 1 and 3."""
 
     OK = 0  # done: flown, designed, accepted, shown
     FAILED = 1  # done, with a negative result
@@ -51,12 +51,13 @@ def say(command: str, text: str) -> None:
 
 
 def run(command: str, body: Callable[[], int], interrupted: str = "interrupted", memory: str = "") -> int:
-    """Return the exit code of `body`. Any exception is reported on one line of stderr and has its own exit code.
+    """Run `body` and return its exit code.
 
-    `interrupted` is the message after Ctrl-C. `memory` is the remedy if the memory is not sufficient.
+    An exception is reported on one line of stderr and has its own exit code. `interrupted` is the message after Ctrl-C.
+    `memory` is the advice printed when memory runs out.
     """
     _tolerate_letters()
-    # Set before NumPy is loaded: its library's threads would only block each other for matrices of forty rows.
+    # Set before NumPy is loaded: the threads of its BLAS only block each other for matrices of forty rows.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         with warnings.catch_warnings():
@@ -91,11 +92,14 @@ def _say_notes(command: str) -> None:
             said.add(str(message))
             say(command, f"note: {message}")
 
-    warnings.showwarning = show  # type: ignore[assignment]  # its parameters are those that are used
+    warnings.showwarning = show  # type: ignore[assignment]  # the further parameters are in *place
 
 
 def show_list(kinds: dict[str, str]) -> int:
-    """Print name and description of the built-in files of each kind (of builtin.FOLDERS), below its title: --list."""
+    """Print the names and descriptions of built-in files, for the option --list. Return the exit code.
+
+    `kinds` maps each kind (a key of FOLDERS in sim/input/files.py) to the title above its files.
+    """
     from maxq.sim.input.files import builtin_files  # noqa: PLC0415  # lazy: --help is quick
 
     for kind, title in kinds.items():
@@ -105,7 +109,9 @@ def show_list(kinds: dict[str, str]) -> int:
 
 
 def _description(path: Path) -> str:
-    """Return a file's own description, its first sentence, or that of the file that it extends."""
+    """Return the first sentence of a file's description, else of the description of the file that it extends,
+    else "".
+    """
     import tomllib  # noqa: PLC0415  # lazy
 
     content = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -116,12 +122,13 @@ def _description(path: Path) -> str:
 
 
 class Interruption:
-    """A handler of Ctrl-C and SIGTERM (which a batch system sends before it kills), so that files can be closed.
+    """A context manager for Ctrl-C and SIGTERM, so that files can be closed. Batch systems send SIGTERM before they
+    kill.
 
-    Within its block, the first Ctrl-C or SIGTERM only sets `requested`, which a call of the object also returns. A
-    second one raises KeyboardInterrupt.
+    Within the block, the first signal only sets `requested`, which a call of the object also returns. The second signal
+    raises KeyboardInterrupt.
 
-    With `at_once`, the first one raises, too. A library's callback may suppress the exception (compilers print
+    With `at_once`, the first signal raises as well. A library's callback may suppress the exception (compilers print
     "Exception ignored"); regular calls of `check` raise it again. Outside the main thread, where Python has no signals,
     the block changes nothing.
     """
@@ -156,9 +163,9 @@ class Interruption:
 
 
 class Command:
-    """A command. A call without arguments is the process; `main` runs the command within another process.
+    """A command. Calling the object runs it as the process, which then ends; `main` runs it within another process.
 
-    `body` takes the words of the command line and returns the exit code. The other fields are for `run`.
+    `body` takes the words of the command line and returns the exit code. The other arguments are those of `run`.
     """
 
     def __init__(
@@ -179,13 +186,13 @@ class Command:
 
 
 def process(main: Callable[[], int]) -> NoReturn:
-    """Run the command as a process: `main`, then the end of the process without the usual cleanup.
+    """Run `main`, then end the process with its exit code, without the usual cleanup.
 
-    By then, all files are written and closed. The omitted step, in which Python and LLVM free each object and module
-    separately, took a quarter of a second.
+    By then, all files are written and closed. The omitted cleanup, in which Python and LLVM free each object and module
+    separately, takes a quarter of a second.
     """
-    gc.set_threshold(50_000)  # imports create many permanent objects: a search every 700 takes 0.05 s
-    sys.setswitchinterval(5e-4)  # a thread of a campaign that returns from the kernel waits no longer
+    gc.set_threshold(50_000)  # imports create many permanent objects: collecting every 700 takes 0.05 s
+    sys.setswitchinterval(5e-4)  # a campaign's thread that returns from the kernel waits no longer than this
     _keep_freed_memory()
 
     def interrupt(number: int, frame: FrameType | None) -> NoReturn:
@@ -201,7 +208,7 @@ def process(main: Callable[[], int]) -> NoReturn:
 
 
 def _keep_freed_memory() -> None:
-    """Configure glibc to keep freed memory for the next flight, a few megabytes.
+    """Configure glibc to keep the few megabytes that a flight frees for the next flight.
 
     Requesting each page from the system again takes a hundredth of a campaign's time. Other C libraries are not
     changed.
@@ -214,17 +221,17 @@ def _keep_freed_memory() -> None:
 
 
 def _tolerate_letters() -> None:
-    """Replace characters that a terminal lacks instead of raising an error."""
+    """Replace characters that the encoding of a stream lacks, instead of raising an error."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
 
 
 def _explanation(error: Exception, memory: str) -> str:
-    """Return the remedy for an error due to input or system, or "" for a fault in maxq."""
+    """Return the message for an error due to the input or the system, or "" for a fault in maxq."""
     if isinstance(error, ImportError) and not (error.name or "").startswith("maxq"):
         return f"a package is missing or broken: {error}; install maxq again (pip install maxq)"
-    from maxq.sim.campaign.error import CampaignError  # noqa: PLC0415  # lazy, as the next: needed by an error only
+    from maxq.sim.campaign.error import CampaignError  # noqa: PLC0415  # lazy, like the next three: for errors
     from maxq.sim.files import FileError  # noqa: PLC0415  # lazy
     from maxq.sim.input.errors import ScenarioError  # noqa: PLC0415  # lazy
     from maxq.sim.log.head import LogError  # noqa: PLC0415  # lazy
@@ -239,7 +246,7 @@ def _explanation(error: Exception, memory: str) -> str:
 
 
 def _internal(error: Exception) -> str:
-    """Return the message that maxq is at fault, with the place."""
+    """Return the message for a fault in maxq, with the place at which it occurred."""
     import traceback  # noqa: PLC0415  # lazy
 
     last = traceback.extract_tb(error.__traceback__)[-1]
@@ -247,5 +254,5 @@ def _internal(error: Exception) -> str:
     how = "" if os.environ.get(TRACEBACK) else f"; {TRACEBACK}=1 in the environment shows the traceback"
     return (
         f"internal error: {what} ({os.path.basename(last.filename)}, line {last.lineno}); this is a fault in maxq, "
-        f"not of your input: please report it with the command and its input files{how}"
+        f"not in your input: please report it with the command and its input files{how}"
     )

@@ -17,7 +17,7 @@ from maxq.tools.cli.frame import TRACEBACK, Exit, show_list
 from maxq.tools.cli.terminal import announce, printable, tell, wipe
 
 _AT_ONCE = {"-h", "--help", "--list", "--version"}
-"""The options that need no further imports."""
+"""The options that import nothing further."""
 _EXITS = {
     Exit.OK: "done",
     Exit.BAD_INPUT: "bad input, or files that cannot be read or written",
@@ -29,8 +29,8 @@ _EXITS = {
 class Parser(argparse.ArgumentParser):
     """The command line of a command or of one of its subcommands.
 
-    Usage and help follow from the declared options, and every error is one line. `exits` completes or replaces the exit
-    codes at the end of --help. `do` takes the given options by name and returns the exit code.
+    Usage and help follow from the declared options, and every error is one line. `exits` adds or replaces exit codes at
+    the end of --help. `do` is called with the given options as keyword arguments and returns the exit code.
     """
 
     def __init__(
@@ -77,14 +77,14 @@ class Parser(argparse.ArgumentParser):
         group: argparse._ActionsContainer | None = None,
         **how: Any,
     ) -> None:
-        """Declare an option in the form of the usage, and its help.
+        """Declare an option by its form in the usage, with its help `text`.
 
-        Examples are "--out DIR", "--axis pitch|yaw", a flag "--orders", "--at T..." for a repeatable one, and
-        "--realtime [X]". "SCENARIO" and "LOG..." are required words, "[DESIGN]" is an optional one, and "[DESIGN]..."
+        Examples are "--out DIR", "--axis pitch|yaw", a flag "--orders", "--at T..." for a repeatable option, and
+        "--realtime [X]". "SCENARIO" and "LOG..." are required words, "[DESIGN]" is an optional word, and "[DESIGN]..."
         means any number.
 
-        `needs` lists options of which one must be given as well. `without` lists options that it excludes. `how`
-        contains further arguments of add_argument; `dest` is the argument name of `do`.
+        At least one of the options `needs` must be given as well, and none of the options `without`. `how` contains
+        further arguments of add_argument; its `dest` is the name of the argument of `do`.
         """
         name, *values = usage.removesuffix("...").split()
         repeated = usage.endswith("...")
@@ -115,7 +115,10 @@ class Parser(argparse.ArgumentParser):
         self.option("--set KEY=VALUE...", text, without=without, dest="overrides")
 
     def about_itself(self, listed: dict[str, str] | None = None) -> None:
-        """Declare the options that every command has, and --list for built-in files of the kinds `listed`."""
+        """Declare the options of every command, and --list if there are built-in files to list.
+
+        `listed` maps the kind of the files to the title above them.
+        """
         self._kinds = listed
         if listed is not None:
             *others, last = (title.partition(" (")[0] for title in listed.values())
@@ -125,7 +128,9 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("-h", "--help", action="help", help="show this help")
 
     def run(self, arguments: Sequence[str]) -> int:
-        """Do the requested task, and return the exit code. A terminal shows immediately that it has begun."""
+        """Perform the requested task and return the exit code. A terminal shows immediately that the command is
+        loading.
+        """
         if arguments and not _AT_ONCE.intersection(arguments):
             announce(f"{self.prog}: loading")
         given = vars(self.read(arguments))
@@ -133,7 +138,10 @@ class Parser(argparse.ArgumentParser):
         return do(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items() if v not in (None, [])})
 
     def read(self, arguments: Sequence[str]) -> argparse.Namespace:
-        """Return the options, including those of a subcommand. `do` is the function to be called."""
+        """Parse the words of a command line, and return the options with the function `do` that is to be called.
+
+        A first word that names a subcommand selects its parser. An error is printed on one line and ends the process.
+        """
         first = self._first_word(arguments) if self._commands else None
         if first is not None:
             name, words = arguments[first], [*arguments[:first], *arguments[first + 1 :]]
@@ -163,7 +171,7 @@ class Parser(argparse.ArgumentParser):
         super()._print_message(message, file)
 
     def _first_word(self, arguments: Sequence[str]) -> int | None:
-        """Return the index of the first word that is neither an option nor the value of one, or None."""
+        """Return the index of the first word that is neither an option nor the value of an option, or None."""
         options = {name: a for parser in self._commands.values() for name, a in parser._option_string_actions.items()}
         values = 0
         for at, word in enumerate(arguments):
@@ -182,9 +190,8 @@ class Parser(argparse.ArgumentParser):
         return None
 
     def _refuse_unknown(self, arguments: Sequence[str]) -> None:
-        """Reject an option that this command does not have.
-
-        Name the subcommand that has it, or the most similar option.
+        """Reject an option that this command does not have. The error names the subcommand that has it, or a similar
+        option.
         """
         mine = self._option_string_actions
         for word in takewhile("--".__ne__, arguments):
@@ -204,7 +211,7 @@ class Parser(argparse.ArgumentParser):
             self.error(f"unknown option {word}" + (f"; did you mean {close[0]}?" if close else ""))
 
     def _check(self, options: argparse.Namespace) -> None:
-        """Reject options without those that they need, or with those that they exclude, and an --out without a name."""
+        """Reject options without those that they need or with those that they exclude, and an --out without a name."""
         given = [
             action.option_strings[0]
             for action in self._actions
@@ -238,7 +245,7 @@ class Parser(argparse.ArgumentParser):
     # help
 
     def format_help(self) -> str:
-        width = shutil.get_terminal_size().columns - 2  # as argparse has it
+        width = shutil.get_terminal_size().columns - 2  # as in argparse
         self.usage = self._usage(width - 11)  # further lines are indented by 11
         self._optionals._group_actions.sort(key=lambda action: action.dest == "help")  # last in the list
         self.description = _hung("", self._about, width)
@@ -279,9 +286,9 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
 
 
 def _hung(head: str, text: str, width: int, indent: int | None = None) -> str:
-    """Return `text` after `head`, folded at spaces that are not in brackets or that follow a bar.
+    """Return `head` followed by `text`, folded at spaces outside brackets, and in brackets only after a bar.
 
-    Further lines are indented by `indent`.
+    Further lines are indented by `indent` columns, by default to the end of `head`.
     """
     depth, whole = 0, ""
     for letter in text:
@@ -295,7 +302,10 @@ _BESIDE = 42  # column at which explanations of examples begin
 
 
 def _examples(text: str, width: int) -> str:
-    """Return commands, each with its effect on the same line or below. Two or more spaces separate them."""
+    """Return commands with their explanations, each on the line of its command or, if that is long, on the next line.
+
+    In `text`, two or more spaces separate a command from its explanation.
+    """
     lines = re.sub(r"\n {8,}", " ", text).splitlines()
     rows = [re.split(r" {2,}", line.strip(), maxsplit=1) for line in lines]
     out = []
@@ -318,7 +328,7 @@ class _Version(argparse.Action):
 
 
 def count(text: str, least: int = 0, most: int = 2**63 - 1) -> int:
-    """Return a parser of whole numbers of at least `least` and at most `most`."""
+    """Parse a whole number from `least` to `most`. Raises argparse.ArgumentTypeError."""
     if text.isdecimal() and (len(text) > 19 or int(text) > most):
         raise argparse.ArgumentTypeError(f"{text[:20]}{'...' * (len(text) > 20)} is too large: at most {most}")
     if not text.isdecimal() or int(text) < least:
@@ -346,7 +356,7 @@ def _is_number(text: str) -> bool:
 
 
 def number(text: str, what: str = "a number") -> float:
-    """Parse a finite number."""
+    """Parse a finite number. `what` names it in the error."""
     if not _is_number(text):
         raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
     return float(text)

@@ -1,8 +1,8 @@
-"""Text for terminals and files: tables and sentences that fit the width, colours of verdicts, a progress bar.
+"""Text for terminals and files: tables and sentences that fit the width, coloured verdicts, a progress bar.
 
-On a terminal, no line is wider than the terminal and no word is cut. COLUMNS in the environment sets another width,
-also for pipes and files, which otherwise get whole lines. Colours are used on terminals only, and not with NO_COLOR in
-the environment.
+On a terminal, no line is wider than the terminal and no word is cut. Pipes and files get whole lines. The environment
+variable COLUMNS sets another width for all of them. Colours are used on terminals only, and not if the environment
+contains NO_COLOR.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any, Self, TextIO
 
-_PATIENCE_S = 1.0  # faster work shows no progress
-_BAR, _CLOCK, _EDGE = 12, 7, 3  # columns of a progress bar, of its clock, and after the line
+_PATIENCE_S = 1.0  # faster tasks show no progress
+_BAR, _CLOCK, _EDGE = 12, 7, 3  # columns of a progress bar, of its clock, and of the margin after the line
 _GOOD = "met|MET|BUILT|PASSED|ACCEPTED|accepted|DESIGNED|SAME|pass"
 _BAD = "MISSED|missed|FAILED|FAIL|REJECTED|rejected|TOO WEAK|INFEASIBLE|UNSTABLE|DIFFERENT|NONE ACCEPTED|NO RUNS"
 _OPEN = "ACCEPTED WITH WAIVERS|UNDECIDED|undecided|INTERRUPTED|warning"
 _TONES = {"32": _GOOD, "1;31": _BAD, "33": _OPEN}  # green, bold red, yellow
-_VERDICTS = re.compile(  # as a cell of a table, or at the head of a line
+_VERDICTS = re.compile(  # as a cell of a table, or at the beginning of a line
     "|".join(rf"(?:(?<=  )|^)(?P<t{code.replace(';', '_')}>{words})(?=  |$|:| \()" for code, words in _TONES.items())
 )
-_COMMAND = re.compile(r"\s*(sim(run|design|verify|replay|vehicle) |/|\S+$)")  # is copied, or cannot be broken
+_COMMAND = re.compile(r"\s*(sim(run|design|verify|replay|vehicle) |/|\S+$)")  # a command to copy, or one word
 
 
 def printable(text: str) -> str:
@@ -37,7 +37,10 @@ def printable(text: str) -> str:
 
 
 def columns(stream: TextIO | None = None) -> int:
-    """Return the available width of stdout or another stream, or a million in pipes and files, which have none."""
+    """Return the width of a stream (None: stdout) in columns, at least 40.
+
+    Pipes and files have no width: a million is returned for them, unless the environment contains COLUMNS.
+    """
     if not (os.environ.get("COLUMNS", "").isdecimal() or (stream or sys.stdout).isatty()):
         return 1_000_000
     return max(shutil.get_terminal_size().columns, 40)
@@ -54,7 +57,7 @@ def aligned(
 
     If a line is wider than `width` (None: that of the terminal), the columns in `drop` are omitted, in their order. If
     this is not sufficient, columns of text are wrapped at spaces, with the number of omitted columns that gives the
-    fewest lines. As a last resort, columns follow each other in blocks that repeat the first one.
+    fewest lines. As a last resort, columns follow each other in blocks that repeat the first column.
     """
     if not rows:
         return []
@@ -67,7 +70,7 @@ def aligned(
             if sum(widths) + 2 * len(widths) - 2 <= room:
                 fit.append(_lines(rows, shown, widths, indent, right))
         if fit:
-            return min(fit, key=len)  # of equal ones the first, which has more columns
+            return min(fit, key=len)  # of equal lengths, the first has more columns
     blocks, used = [[shown[0]]], widths[0]
     for i, w in zip(shown[1:], widths[1:], strict=True):
         if used + 2 + w > room and len(blocks[-1]) > 1:
@@ -82,7 +85,7 @@ def aligned(
 
 
 def _fitted(rows: Sequence[Sequence[str]], shown: Sequence[int], right: Sequence[int], room: int) -> list[int]:
-    """Return the widths of columns.
+    """Return the widths of the columns `shown`, in total at most `room` where possible.
 
     Columns of text are narrowed where this adds the fewest lines, down to their longest words.
     """
@@ -157,11 +160,11 @@ def _paint(found: re.Match[str]) -> str:
     return f"\x1b[{(found.lastgroup or 't0')[1:].replace('_', ';')}m{found[0]}\x1b[0m"
 
 
-_announced = False  # a stage is on the terminal and must be erased before other output
+_announced = False  # True while a stage is on the terminal, which must be erased before other output
 
 
 def announce(stage: str) -> None:
-    """Show the activity of a command on a terminal's stderr until the next stage, progress bar or output."""
+    """Show the current stage of a command on stderr, if this is a terminal, until the next stage or other output."""
     global _announced  # noqa: PLW0603  # there is one terminal
     if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
         wipe()
@@ -180,7 +183,7 @@ def wipe() -> None:
 
 
 def tell(*texts: object) -> None:
-    """Print lines for the user: folded to the terminal, verdicts in colour."""
+    """Print lines for the user, folded to the width of the terminal and with coloured verdicts."""
     wipe()
     print(painted(folded("\n".join(str(text) for text in texts))))
 
@@ -188,9 +191,9 @@ def tell(*texts: object) -> None:
 class Progress:
     """A progress bar on stderr that disappears at the end of its block. Any thread may advance it.
 
-    The name of a stage appears immediately, the bar after a second or with `at_once`; it shows compilations too. If
-    stderr is not a terminal, no bar is shown. `log_every_s` then prints a line at this interval, for the logs of batch
-    systems.
+    The name of a stage appears immediately. The bar, which also shows compilations, appears after a second, or
+    immediately with `at_once`. If stderr is not a terminal, no bar is shown. `log_every_s` then prints a line at this
+    interval, for the logs of batch systems.
     """
 
     def __init__(self, log_every_s: float | None = None, *, at_once: bool = False) -> None:
@@ -204,7 +207,7 @@ class Progress:
         self._listening = ExitStack()
         self._open = False
         self._compiling = False
-        self._compiling_s = math.inf  # since when
+        self._compiling_s = math.inf  # start of the compilation, on the monotonic clock
 
     def __enter__(self) -> Self:
         self._open = True
@@ -220,9 +223,9 @@ class Progress:
                 self._bar.stop()
 
     def show(self, what: str, done: float, of: float, note: str = "", count: str | None = None) -> None:
-        """Show `done` of `of` steps of `what`, followed by `note`.
+        """Show `done` of `of` steps of the stage `what`, followed by `note`.
 
-        `count` replaces the text "done of of". An `of` of 0 means an unknown number of steps. A single step has no
+        `count` replaces the text "3 of 8". An `of` of 0 means that the number of steps is unknown. A single step has no
         number either.
         """
         with self._lock:
@@ -244,12 +247,14 @@ class Progress:
             if self._bar is None:
                 self._begin()
             elif another:
-                self._bar.reset(self._task)  # the clock next to it is that of this part
+                self._bar.reset(self._task)  # so that the clock next to it is that of this stage
             done = min(done, 0.999 * of) if of else done  # a complete bar would stop the clock
             self._bar.update(self._task, **shown, completed=done, note=self._fitting(what, count, note))
 
     def _fitting(self, what: str, count: str, note: str) -> str:
-        """Return the parts of a note, between semicolons, for which the line has space, as they follow the count."""
+        """Return the leading parts of a note (separated by semicolons) that fit on the line, as the text after the
+        count.
+        """
         before = "; " if count and note else ""
         space = self._bar.console.width - _EDGE - len(what) - len(count) - len(before) - _BAR - _CLOCK - 3
         parts = printable(note).split("; ")
@@ -258,9 +263,9 @@ class Progress:
         return before + "; ".join(parts) if parts else ""
 
     def compiling(self, name: str, share: float) -> None:
-        """Show the finished share, 0 to 1, of the compilation for a vehicle or scenario `name`. 1 ends the display.
+        """Show the finished share (0 to 1) of a compilation; 1 ends the display.
 
-        A compilation of less than a second is not shown.
+        `name` is the vehicle or scenario for which code is compiled. The first second of a compilation is not shown.
         """
         with self._lock:
             if share >= 1.0:
@@ -299,7 +304,7 @@ class Progress:
         console = Console(stderr=True)
 
         class Narrow(Bar):
-            """A bar followed by space for the "^C" of a terminal, which otherwise breaks the line."""
+            """A bar followed by space for the "^C" that a terminal prints, which would otherwise break the line."""
 
             def get_renderable(self) -> RenderableType:
                 return Constrain(super().get_renderable(), max(console.width - _EDGE, 20))
@@ -317,7 +322,7 @@ class Progress:
 
 @contextmanager
 def _listening(progress: Progress) -> Iterator[None]:
-    """Report compilations to `progress`. Loaded machine code does not count."""
+    """Report compilations to `progress` within the block. Loading stored machine code is not reported."""
     from maxq.control.kernel import progress as compilations  # noqa: PLC0415  # lazy: loaded already when it is called
 
     compilations.watchers.append(progress.compiling)

@@ -1,5 +1,4 @@
-"""The subcommand `simdesign analyse DESIGN`: the margins of a design at operating points of a flight, and a page of
-them.
+"""The subcommand `simdesign analyse DESIGN`: the margins of a design at operating points of a flight, and their page.
 
 `simdesign errata` computes the effect of each erratum of the paper on peaks and margins at every operating point.
 """
@@ -69,7 +68,7 @@ from maxq.tools.design.report import (
 )
 
 RECORD_NAME, PAGE_NAME = "analysis.json", "analysis.html"
-_FILE_WIDTH = 1_000_000  # whole rows
+_FILE_WIDTH = 1_000_000  # columns: no row of a file is folded
 _UNSTABLE = "unstable"
 QUANTITIES = {
     "peak 1": "peak of mode 1, dB",
@@ -84,7 +83,7 @@ N = TypeVar("N", bound=Node)
 
 
 def execute(order: AnalysisOrder) -> int:
-    """Analyse a design. Return the exit code."""
+    """Analyse a design, write its files and print the report. Return the exit code."""
     if "scenario" not in order.given:
         order = replace(order, scenario=designed_along(order.design))
     scenario, design = load(order.scenario, order.vehicle, order.design)
@@ -202,7 +201,7 @@ def _command(order: AnalysisOrder) -> str:
 
 
 def load(scenario: str, vehicle: str | None, design: str) -> tuple[LoadedScenario, Design]:
-    """Return the scenario with the design to be judged, whose own flight gives the operating points, and that design.
+    """Return the scenario with the design to be analysed, and that design. Its own flight gives the operating points.
 
     Raises ScenarioError.
     """
@@ -221,11 +220,10 @@ def dispersed_checks(
     order: AnalysisOrder,
     progress: Progress,
 ) -> tuple[WorstOfBasis | None, list[Check]]:
-    """Return the worst vehicles found of a stage's robust basis, and its limits of them, or nothing without such a
-    basis.
+    """Return the worst vehicles found for a stage's robust basis, and the checks of its limits on them.
 
-    Vehicles are searched for on the sampled loop of the flown design only, and between the points only if limits hold
-    there.
+    Without a robust basis, return None and no checks. The search uses only the sampled loop of the flown design, and
+    includes instants between the operating points only if limits hold there.
     """
     if basis.robust is None or not flies_as_measured(order.kind, order.errata, order.plant):
         return None, []
@@ -239,15 +237,15 @@ def dispersed_checks(
     return worst, [replace(c, key=f"dispersed_{c.key}", text=f"{c.text}, dispersed", short=c.heading) for c in found]
 
 
-# the design's own basis
+# The design's own basis
 
 _WORDS = {"times_s": "at", "every_s": "every"}
 _OPTIONS = {"kind": "loop", "axis": "plane", "errata": "errata", "plant": "plant"}
-"""The options and the corresponding keys of a basis."""
+"""The options, and the keys of a basis that correspond to them."""
 
 
 def designed_along(design: str) -> str:
-    """Return the built-in scenario along which a design was designed, or "nominal" if it names none of these."""
+    """Return the built-in scenario that the basis of a design names, or "nominal" if it names none."""
     source, reading = Source(COMMAND_LINE, (Path.cwd(), scenarios_folder())), Reading()
     path = find(Text.of(design_path(design), source))
     tree = {} if path is None else reading.document(path, design, "design")
@@ -257,13 +255,15 @@ def designed_along(design: str) -> str:
 
 
 def bases_of(scenario: LoadedScenario, design: Design, label: str) -> dict[int, Basis]:
-    """Return the basis of each stage, from 0, that states one. Raises ScenarioError."""
+    """Return the basis of each stage that states a basis, by the index of the stage. Raises ScenarioError."""
     found = {n: stated_basis(design, n, label) for n in range(len(scenario.vehicle.stage))}
     return {n: basis for n, basis in found.items() if basis is not None}
 
 
 def by_basis(order: AnalysisOrder, bases: Mapping[int, Basis]) -> AnalysisOrder:
-    """Return the order with the loop, plane, errata and plant of the first basis, if no option is given."""
+    """Return the order with the loop, plane, errata and plant of the first basis in place of options that are not
+    given.
+    """
     first = next(iter(bases.values()), Basis())
     return replace(order, **{key: getattr(first, of) for key, of in _OPTIONS.items() if key not in order.given})
 
@@ -271,10 +271,10 @@ def by_basis(order: AnalysisOrder, bases: Mapping[int, Basis]) -> AnalysisOrder:
 def operating_points_s(
     scenario: LoadedScenario, design: Design, order: AnalysisOrder, bases: Mapping[int, Basis]
 ) -> list[float]:
-    """Return the vehicle times for the judgement, s: those of the order, else those of each stage's basis that are
-    under thrust.
+    """Return the vehicle times at which to judge the design, s.
 
-    Without these, return the rows of the gain tables and every `every_s` between their ends.
+    They are the times of the order, else those of each stage's basis that are under thrust, else the rows of the gain
+    tables and every `every_s` between their ends.
     """
     if order.times_s:
         return list(dict.fromkeys(order.times_s))
@@ -295,7 +295,7 @@ def operating_points_s(
 def instants_between(
     points_s: Iterable[float], scenario: LoadedScenario, order: AnalysisOrder, bases: Mapping[int, Basis]
 ) -> list[float]:
-    """Return instants between the operating points of each stage whose limits also apply between them."""
+    """Return instants between the operating points (s) of each stage whose limits also apply between them."""
     out: list[float] = []
     if order.times_s or "every_s" in order.given:
         return out
@@ -309,7 +309,7 @@ def instants_between(
 def judged_by_text(
     order: AnalysisOrder, scenario: LoadedScenario, bases: Mapping[int, Basis], points: int, between: int
 ) -> str:
-    """Return one line: whether a design is judged by its own basis or by others, and the extent."""
+    """Return one line that states whether the design's own basis is used, and its extent: loop, points and limits."""
     count = f"{points} operating point{'s' * (points != 1)}"
     if not bases:
         return f"the design states no basis: judged on the {order.kind} loop at {count}, without limits"
@@ -346,7 +346,10 @@ def _found(
     make: Callable[..., list[N]],
     axis: Plane | None = None,
 ) -> list[N]:
-    """Return operating points along the flight. Raises ScenarioError for a time outside the powered flight."""
+    """Return operating points along the flight.
+
+    Raises ScenarioError for a time outside the powered flight, and for an operating point without a plant.
+    """
     try:
         nodes = make(
             scenario, times_s, plane=axis or order.axis, errata=order.errata, plant=order.plant, faults=order.faults
@@ -358,11 +361,11 @@ def _found(
     return nodes
 
 
-# errata
+# Errata
 
 
 def execute_errata(order: AnalysisOrder) -> int:
-    """Compute the effects of the errata. Return the exit code."""
+    """Compute and print the effects of the errata. Return the exit code."""
     scenario, design = load(order.scenario, order.vehicle, order.design)
     with Progress() as progress:
         nodes = _found(scenario, order, operating_points_s(scenario, design, order, {}), published_nodes)
@@ -377,12 +380,12 @@ def execute_errata(order: AnalysisOrder) -> int:
 
 
 def effects(nodes: Sequence[PaperNode], design: Design) -> list[Effect]:
-    """Return the effects of every erratum at every operating point, on the design's loop with the paper's Pade
+    """Return the effect of every erratum at every operating point, on the design's loop with the paper's Pade
     approximants.
     """
 
     def measure(node: Node, cut: Cut) -> Mapping[str, float]:
-        """Return the peaks, and for the whole loop its margins. `unstable` is 1 if it is not stable."""
+        """Return the peaks and, for the whole loop, its margins. `unstable` is 1 if the loop is unstable."""
         loop = close_loop(fixed_path(node, "pade", cut), design)
         peaks = peaks_db(loop)
         out = {f"peak {i}": peaks[f"bending {i}"] for i in (1, 2, 3) if f"bending {i}" in peaks}
@@ -399,7 +402,9 @@ def effects(nodes: Sequence[PaperNode], design: Design) -> list[Effect]:
 
 
 def errata_report(found: Sequence[Effect], order: AnalysisOrder, width: int | None = None) -> str:
-    """Return a table of every quantity: rows are errata, columns operating points, values printed less corrected."""
+    """Return a table for each quantity: a row for each erratum, a column for each operating point, printed minus
+    corrected.
+    """
     times = list(dict.fromkeys(e.node.time_s for e in found))
     names = list(dict.fromkeys(e.erratum for e in found))
     by_place = {(e.erratum, e.node.time_s): e for e in found}

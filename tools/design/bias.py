@@ -1,17 +1,18 @@
-"""The subcommand `simdesign bias SCENARIO`: a pitch and yaw programme biased for a measured wind, so that the vehicle
-meets it head on.
+"""The subcommand `simdesign bias SCENARIO`: a pitch and yaw programme that turns the vehicle into a measured wind.
 
-With a programme for still air, the wind adds to the angle of attack. Here the commanded attitude is turned until angle
-of attack and sideslip in the measured profile equal those in still air. Alternatively, a share of the difference is
-removed:
+With a programme for still air, the wind adds to the angle of attack. Here, the commanded attitude is turned until the
+angle of attack and the sideslip in the measured profile equal those in still air. Alternatively, only a share of the
+difference is removed. Flight after flight, the bias theta_b in pitch changes by d; yaw follows with beta reversed:
 
     theta_b <- theta_b + d,    d = W (e + v / V),    v' = a d + Z (V d - v),    e = alpha_wanted - alpha
 
-in pitch, in yaw with beta reversed, flight after flight. e is the missing angle of attack. The axial load a and the
-normal force V Z per mass and angle push a vehicle turned by d off its path. This motion reduces the turn by v / V. a
-and Z are those of the linear model. W fades with the dynamic pressure: it is 1 at `FULL_FROM` of the largest value and
-above, and 0 at none. Liftoff and the later flight thus keep their attitude. e is averaged over `SMOOTHED_S`, since a
-programme can follow the profile, but not slosh or gusts. The profile flies as it was measured, without gusts and
+The missing angle of attack is e, and the airspeed is V. A vehicle turned by d is pushed off its path by the axial load
+a and by the normal force Z V per mass and angle. Its velocity v off the path reduces the effect of the turn by v / V.
+The linear model gives a and Z.
+
+The factor W fades with the dynamic pressure: it is 1 from `FULL_FROM` of the largest value upwards, and 0 without
+dynamic pressure. Liftoff and the later flight thus keep their attitude. The angle e is averaged over `SMOOTHED_S`,
+because a programme can follow the profile, but not slosh or gusts. The profile is flown as measured, without gusts and
 turbulence.
 """
 
@@ -37,15 +38,15 @@ from maxq.sim.scenario.schema_environment import WindSection
 from maxq.tools.cli.frame import Exit
 from maxq.tools.cli.terminal import aligned, tell
 
-FULL_FROM = 0.15  # of the largest dynamic pressure
-SMOOTHED_S = 3.0  # width of the window, raised cosine
+FULL_FROM = 0.15  # share of the largest dynamic pressure
+SMOOTHED_S = 3.0  # width of a raised-cosine window
 GRID_S = 0.5
 ROUNDS = 4
 
 
 @dataclass(frozen=True)
 class Incidence:
-    """The angles along a flight, at `time_s`: angle of attack and sideslip (rad), with the dynamic pressure (Pa)."""
+    """The angle of attack, the sideslip and the dynamic pressure along a flight, at `time_s`."""
 
     time_s: Array
     alpha_rad: Array
@@ -61,25 +62,25 @@ class Incidence:
 
     @property
     def load_Padeg(self) -> Array:
-        """Return the dynamic pressure times the total angle of attack."""
+        """Return the dynamic pressure times the total angle of attack, Pa deg."""
         return self.dynamic_pressure_Pa * np.degrees(np.hypot(self.alpha_rad, self.beta_rad))
 
 
 @dataclass(frozen=True)
 class Biased:
-    """The programme, its bias (rad, pitch and yaw) over time, and the angles met in still air, in the wind with the old
-    programme, and with this one.
+    """A biased programme, its bias over time, and the angles met in still air, in the wind, and in the wind with the
+    bias.
     """
 
     table: CsvTable  # time_s, pitch_rate_degps, yaw_rate_degps
-    bias_rad: Array  # (2, times)
+    bias_rad: Array  # (2, times), pitch and yaw
     still: Incidence
     before: Incidence
     after: Incidence
 
 
 def execute(scenario: str, *, wind: str | None = None, share: float = 1.0, out: str | None = None) -> int:
-    """Write the pitch programme of a scenario, biased for its wind. Return the exit code."""
+    """Write the programme of a scenario, biased for its wind, and print its effect. Return the exit code."""
     changes = [] if wind is None else [f"wind.profile={json.dumps(wind)}"]
     loaded = load_scenario(scenario, changes)
     path = Path(out or f"{Path(scenario).stem}-biased.csv")
@@ -109,9 +110,8 @@ def execute(scenario: str, *, wind: str | None = None, share: float = 1.0, out: 
 def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
     """Return the scenario's programme with a bias for its wind.
 
-    `share` is the share of the wind's contribution to be removed.
-
-    Raises ScenarioError if there is no wind, no programme, or one to which a bias in pitch and yaw cannot be added.
+    `share` is the share of the wind's contribution that is removed, 0 to 1. Raises ScenarioError if there is no wind,
+    no programme, or a programme to which a bias in pitch and yaw cannot be added.
     """
     scenario, programme = loaded.scenario, loaded.scenario.guidance.programme
     wind = scenario.wind.model_copy(update={"gust": (), "turbulence": None})
@@ -154,7 +154,7 @@ def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
     after_s = [t for t in programme["time_s"] if t > time_s[-1]]
     still, path = Incidence.of(calm, time_s), _path(loaded, calm, time_s)
     strength = np.clip(still.dynamic_pressure_Pa / still.dynamic_pressure_Pa.max() / FULL_FROM, 0.0, 1.0)
-    fade = strength * strength * (3.0 - 2.0 * strength)  # from 0 to 1 without a corner between
+    fade = strength * strength * (3.0 - 2.0 * strength)  # from 0 to 1 with continuous slope
     before = Incidence.of(flown(wind, programme, end_s), time_s)
     wanted = [
         share * a + (1.0 - share) * b
@@ -171,8 +171,9 @@ def wind_biased(loaded: LoadedScenario, share: float = 1.0) -> Biased:
 
 
 def _path(loaded: LoadedScenario, calm: Flight, time_s: Array) -> Array:
-    """Return over time the speed (m/s), and of the linear model the axial load (m/s2) and the lateral force per mass
-    and speed (1/s).
+    """Return over time the airspeed (m/s), the axial load (m/s2), and the lateral force per mass and speed (1/s).
+
+    The array is (3, times). Load and force are those of the linear model in still air.
     """
     air = loaded.scenario.model_copy(update={"wind": WindSection(), "fault": (), "requirement": ()})
     nodes = operating_points.nodes(LoadedScenario(air, loaded.label, ()))
@@ -187,7 +188,10 @@ def _path(loaded: LoadedScenario, calm: Flight, time_s: Array) -> Array:
 
 
 def _turned(time_s: Array, fade: Array, path: Array, lacks_rad: Array) -> Array:
-    """Return the turn d that gives the missing angle of attack, including the change of the path, by Heun's method."""
+    """Return the turn d that gives the missing angle of attack, including the change of the path, by Heun's method.
+
+    `path` is that of `_path`, `lacks_rad` the missing angle. All are over `time_s`.
+    """
     turned, across = np.zeros(len(time_s)), 0.0
 
     def turn(k: int, v: float) -> tuple[float, float]:
@@ -204,14 +208,17 @@ def _turned(time_s: Array, fade: Array, path: Array, lacks_rad: Array) -> Array:
 
 
 def _smoothed(time_s: Array, values: Array) -> Array:
-    """Return the mean within `SMOOTHED_S`, weighted by a raised cosine."""
+    """Return the running mean of values over `SMOOTHED_S`, weighted by a raised cosine."""
     apart = np.abs(time_s[:, None] - time_s[None]) / (0.5 * SMOOTHED_S)
     weight = np.where(apart < 1.0, 1.0 + np.cos(np.pi * apart), 0.0) * np.gradient(time_s)[None]
     return np.asarray(weight @ values / weight.sum(axis=1))
 
 
 def _programme(old: CsvTable, time_s: Array, after_s: Sequence[float], bias_rad: Array) -> CsvTable:
-    """Return the old rates with those of the bias, which ends at the last of `time_s`."""
+    """Return the programme with the rates of the bias added. The bias is constant after the last of `time_s`.
+
+    `after_s` are the later times of the old programme.
+    """
     rates = np.degrees(np.gradient(bias_rad, time_s, axis=1))
     rates[:, -1] = 0.0
     times = np.concatenate([time_s, after_s])

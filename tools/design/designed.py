@@ -1,4 +1,4 @@
-"""A design that was made from Python, with methods to show, draw and save it."""
+"""A design made from Python, with methods to show, draw and save it."""
 
 from __future__ import annotations
 
@@ -25,19 +25,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Designed:
-    """A design for a case.
+    """The design of a case.
 
-    `outcome.design` is the flown design, and `outcome.judged` its margins at each operating point of its own flight.
-    For several stages, these are those of the first.
+    `outcome.design` is the flown design, and `outcome.judged` its loops and margins at the operating points of its own
+    flight. If there are several stages, these are the points of the first stage designed.
     """
 
     outcome: DesignOutcome
     solution: Solution
-    meets_limits: bool  # all of the case, of all stages, and the flight of the design is not lost
+    meets_limits: bool  # True if all stages meet all limits of the case, and the flight of the design is not lost
 
     def bode(self, time_s: float | None = None) -> Figure:
-        """Draw the Bode, Nichols and Nyquist plots at the operating point of that time (None: of the least gain
-        margin).
+        """Draw the Bode, Nichols and Nyquist plots at the operating point nearest to `time_s`.
+
+        By default, it is the operating point with the least gain margin.
         """
         nodes = self.outcome.judged
         if time_s is None:
@@ -49,7 +50,7 @@ class Designed:
         return _drawn(one, f"{vehicle}: {loaded.name}", self.outcome.wanted)
 
     def save(self, path: str | Path) -> Path:
-        """Save the design as a file for `fly(name, "design=path")` and `verify(path)`."""
+        """Save the design as a file for `fly(name, "design=path")` and `verify(path)`. Return the path."""
         return write_whole(Path(path), design_text(self.outcome.design, [f"Written for {self.outcome.loaded.name}."]))
 
     def __repr__(self) -> str:

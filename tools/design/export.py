@@ -1,9 +1,8 @@
-"""The subcommand `simdesign export DESIGN`: the law as C99 sources (`--c DIR`), or plant, law and loop at the operating
-points as matrices.
+"""The subcommand `simdesign export DESIGN`: the law as C99 sources (`--c DIR`), or the plant, law and loop at the
+operating points as matrices.
 
-The sources in control/flight_law are copied unchanged. The files that belong to the design are its tables and the
-samples of its unit test, which come from a flight. The compiled code is thus the code that the tests compile, with the
-numbers that fly.
+The sources in control/flight_law are copied unchanged. Only the tables, and the samples of the unit test from a flight,
+depend on the design. Hence the compiled code is the code that the tests compile, with the flown numbers.
 """
 
 from __future__ import annotations
@@ -60,7 +59,10 @@ def execute(
     axis: Plane | None = None,
     out: str | None = None,
 ) -> int:
-    """Write the law as C sources, or the loop as matrices; returns the exit code."""
+    """Write the law as C sources, or the loop as matrices. Return the exit code.
+
+    The arguments are the options of `simdesign export`.
+    """
     if c is not None:
         changes = [f'design="{design_path(design)}"']
         changes += [f'vehicle="{vehicle}"'] if vehicle is not None else []
@@ -78,15 +80,14 @@ def execute(
     return Exit.OK
 
 
-# the law as C
+# The law in C
 
 
 def export_c(loaded: LoadedScenario, folder: Path) -> list[Path]:
-    """Write the sources of the law that `loaded` flies, tables and unit test to a folder.
+    """Write the C sources of the law that `loaded` flies, its tables and its unit test to a folder. Return the paths.
 
-    Files of these names are replaced.
-
-    Raises ScenarioError if the scenario has no such law.
+    Existing files of these names are replaced. Raises ScenarioError if the scenario has no design or its law cannot be
+    exported, and FileError.
     """
     design, computer = loaded.design, loaded.vehicle.computer
     if design is None or computer is None:
@@ -116,13 +117,13 @@ def export_c(loaded: LoadedScenario, folder: Path) -> list[Path]:
 
 
 def further_gyros(computer: Any) -> int:
-    """Return the rate gyros beyond the first that contribute to the law's rate."""
+    """Return the number of rate gyros, beyond the first, that contribute to the law's rate."""
     used = np.flatnonzero(np.any(computer.sensors.blend[:, 1:] != 0.0, axis=0))
     return int(used[-1]) + 1 if len(used) else 0
 
 
 def _declared(packed: Packed, said: str) -> Iterator[str]:
-    """Return flight_law_tables.h."""
+    """Yield the lines of flight_law_tables.h."""
     each = [row.computer for row in packed.parameters]
     law = LAWS[int(each[0].law.kind)]
     relief = RELIEF.index(law) + 1 if law in RELIEF else 0
@@ -198,7 +199,7 @@ _ENDLESS = 1.0e9  # replaces an infinite limit
 
 
 def _defined(packed: Packed, said: str) -> Iterator[str]:
-    """Return flight_law_tables.c."""
+    """Yield the lines of flight_law_tables.c."""
     yield from (f"/* {said} */", '#include "flight_law_tables.h"', "")
     gyros = max(further_gyros(row.computer) for row in packed.parameters)
     parameters = max(1, *(int(row.computer.law.pd.moving.table.n_columns) for row in packed.parameters))
@@ -265,7 +266,7 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
 
 
 def _vectors(loaded: LoadedScenario, said: str) -> Iterator[str]:
-    """Return test_vectors.h: inputs and outputs of the law in the first seconds, with all axes excited."""
+    """Yield the lines of test_vectors.h: inputs and outputs of the law in the first seconds, with all axes excited."""
     rows = _samples(loaded)
     yield from (f"/* {said} */", "#ifndef TEST_VECTORS_H", "#define TEST_VECTORS_H", "")
     yield f"#define TEST_SAMPLES {len(rows['time_s'])}"
@@ -277,10 +278,7 @@ def _vectors(loaded: LoadedScenario, said: str) -> Iterator[str]:
 
 
 def _array(declared: str, values: np.ndarray) -> Iterator[str]:
-    """Return a C array.
-
-    A double is written with enough digits to read it back, and read as a float if that is the type.
-    """
+    """Yield the lines of a C array. Its doubles have enough digits to be read back exactly."""
     yield f"{declared} = {{"
     for row in values:
         yield f"    {_braced(row.tolist())},"
@@ -295,7 +293,9 @@ def _braced(value: Any) -> str:
 
 
 def _samples(loaded: LoadedScenario) -> dict[str, np.ndarray]:
-    """Return the inputs and outputs of the law in a flight of `TEST_SAMPLES`, read from the memory at each sample."""
+    """Return the inputs and outputs of the law at each sample of a flight of `TEST_SAMPLES` samples, from its
+    memory.
+    """
     scenario = loaded.scenario
     assert scenario.vehicle.computer is not None
     own = scenario.vehicle.computer.model_copy(
@@ -341,12 +341,13 @@ def _samples(loaded: LoadedScenario) -> dict[str, np.ndarray]:
     return {name: np.array(values) for name, values in rows.items()}
 
 
-# matrices at the nodes
+# Matrices at the operating points
 
 
 def described(node: Node, design: Any) -> dict[str, Any]:
-    """Return the plant (continuous), path from gimbal command to measurements, law and open loop (all sampled) at an
-    operating point.
+    """Return the systems at an operating point: the continuous plant, and the sampled path, law and open loop.
+
+    The path is from the gimbal command to the law's measurements.
     """
     loop = close_loop(fixed_path(node, "sampled"), design)
     systems = {
@@ -368,13 +369,14 @@ def _system(system: StateSpace, sample_s: float) -> dict[str, Any]:
 
 
 def unit_of(name: str) -> str:
-    """Return the unit in a name such as `theta_rad`, or "" for a number without one, and for the state of a filter."""
+    """Return the unit at the end of a name such as `theta_rad`, or "" without a unit, as for the state of a filter."""
     return _UNITS.get(name.rpartition("_")[2], "") if "_" in name else ""
 
 
 def write_matrices(path: Path, form: Format, nodes: Sequence[dict[str, Any]]) -> None:
-    """Write the matrices to a file for MATLAB (struct array `nodes`), NumPy (`plant_0_A`, ... and a JSON text `about`),
-    or as JSON.
+    """Write the matrices to a file for MATLAB, for NumPy, or as JSON.
+
+    A MATLAB file contains a struct array `nodes`; a NumPy file contains `plant_0_A`, ..., and a JSON text `about`.
     """
     if form == "json":
         write_whole(path, json.dumps({"nodes": list(nodes)}, default=np.ndarray.tolist, indent=1) + "\n")
@@ -391,7 +393,7 @@ def write_matrices(path: Path, form: Format, nodes: Sequence[dict[str, Any]]) ->
 
 
 def _for_matlab(value: Any) -> Any:
-    """Return names as cell arrays, dictionaries as structs."""
+    """Return a value for savemat, with lists of names as cell arrays and dictionaries as structs."""
     if isinstance(value, dict):
         return {key: _for_matlab(item) for key, item in value.items()}
     return np.array(value, object) if isinstance(value, list) else value

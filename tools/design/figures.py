@@ -1,4 +1,4 @@
-"""Figures of a design for the pages: open loops, limits over the flight, gains, bending filter."""
+"""The figures of a design for the pages: open loops, limits over the flight, gains, and bending filter."""
 
 from __future__ import annotations
 
@@ -19,27 +19,30 @@ from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.tools.design.open_loop import LOWEST_HZ, named, picture_of, unwrapped_deg
 from maxq.tools.plots.figures import COLOURS, Panel, Plot, Series, limit, line, look, loop, points, shape, thinned
 
-LOWEST_DB = -40.0  # of Bode and Nichols plots
-_LOWEST_HZ = 0.05  # of Bode plots
+LOWEST_DB = -40.0  # lower end of the gain axis of Bode and Nichols plots
+_LOWEST_HZ = 0.05  # lower end of the frequency axis of Bode plots
 _ABOVE_LAST = 1.25  # end of the frequency axis / highest frequency above LOWEST_DB
 _HIGHEST_DB = 50.0
-_FARTHEST = 3.4  # of Nyquist plots: |L| of 21 dB
+_FARTHEST = 3.4  # largest radius of Nyquist plots: |L| of 21 dB
 _SIGNS = {">=": "≥", "<=": "≤"}
-_LEAST_SPAN = 0.01  # of an axis, as a share of the values
+_LEAST_SPAN = 0.01  # least span of an axis, as a share of the values
 _OUTLINE = np.radians(np.arange(0.0, 360.0, 6.0))
 
 
-# open loops
+# Open loops
 
 
 def lobe_colours(judged: Sequence[JudgedLoop]) -> dict[str, str]:
-    """Return a colour for each pole with a lobe, the same at all operating points."""
+    """Return a colour for each pole with a lobe, equal at all operating points."""
     poles = sorted({named(lobe) for j in judged for lobe in j.lobes})
     return {pole: COLOURS[1:][n % (len(COLOURS) - 1)] for n, pole in enumerate(poles)}
 
 
 def open_loop(judged: JudgedLoop, colours: dict[str, str], name: str = "L", **more: Any) -> Series:
-    """Return the open loop at an operating point, with its lobes, margins and least |1 + L|."""
+    """Return the curve of the open loop at an operating point, with its lobes, margins and least |1 + L| as marks.
+
+    `colours` are those of `lobe_colours`. `more` contains further keys of the series.
+    """
     picture = picture_of(judged, "")
     f, level, phase = picture.frequency_hz, decibels(picture.loop), unwrapped_deg(picture)
     keep = np.flatnonzero(f >= LOWEST_HZ)
@@ -65,7 +68,7 @@ def open_loop(judged: JudgedLoop, colours: dict[str, str], name: str = "L", **mo
 
 
 def _seen(decades: Array, level_db: Array, phase_deg: Array) -> Array:
-    """Return the indices of the points of a curve that are visibly distinct from the last one kept."""
+    """Return the indices of the points of a curve that are visibly distinct from the previous point kept."""
     keep, last = [0], 0
     for k in range(1, len(decades)):
         step = math.hypot((phase_deg[k] - phase_deg[last]) / 1.5, (level_db[k] - level_db[last]) / 0.5)
@@ -76,7 +79,7 @@ def _seen(decades: Array, level_db: Array, phase_deg: Array) -> Array:
 
 
 def margins_text(judged: JudgedLoop) -> str:
-    """Return the margins of a loop in a line."""
+    """Return the margins of a loop as one line of text."""
     m = judged.margins
     if not m.stable:
         return f"UNSTABLE: {m.unstable_poles or 'some'} unstable pole{'s' * (m.unstable_poles != 1)}"
@@ -91,7 +94,10 @@ def margins_text(judged: JudgedLoop) -> str:
 
 
 def zone_of(wanted: Wanted) -> list[Series]:
-    """Return the zone around -1 in the Nichols plane that the limits exclude."""
+    """Return the zone around -1 in the Nichols plane that the limits exclude.
+
+    Without a required zone, it is the diamond of the gain and phase margins, or nothing if these are not both limited.
+    """
     zone, gain, phase = wanted.zone, wanted.constant("gain_margin_db"), wanted.constant("phase_margin_deg")
     if zone is None:
         return [] if gain is None or phase is None else [diamond(gain, gain, phase)]
@@ -104,13 +110,13 @@ def zone_of(wanted: Wanted) -> list[Series]:
 
 
 def diamond(up_db: float, down_db: float, phase_deg: float) -> Series:
-    """Return the diamond whose corners are margins."""
+    """Return the diamond in the Nichols plane whose corners are these margins."""
     corners = [(-180.0 - phase_deg, 0.0), (-180.0, -up_db), (-180.0 + phase_deg, 0.0), (-180.0, down_db)]
     return shape(corners, "diamond of the margins required", colour="limit", opacity=0.15)
 
 
 def bode_panels(every: Sequence[Series]) -> list[Panel]:
-    """Return panels for gain and phase that contain all of the loops."""
+    """Return empty panels for gain and phase, with axes that contain all of the loops."""
     f, level, phase = (np.concatenate([np.asarray(s[key], float) for s in every]) for key in ("x", "y", "y2"))
     drawn = f >= _LOWEST_HZ
     visible = drawn & (level > LOWEST_DB)
@@ -125,7 +131,7 @@ def bode_panels(every: Sequence[Series]) -> list[Panel]:
 
 
 def nichols_panel(every: Sequence[Series], zone: Sequence[Series], title: str) -> Panel:
-    """Return a panel of the Nichols plane, in which the loops are drawn over `zone`."""
+    """Return a panel of the Nichols plane for loops, with `zone` below them."""
     top = min(max(10.0, *(float(np.max(s["y"])) for s in every)) + 4.0, _HIGHEST_DB)
     return Panel(title, list(zone), "phase of L, deg", "|L|, dB", (-360.0, 0.0), (LOWEST_DB, top), plane="nichols")
 
@@ -137,9 +143,9 @@ def explorer(
 
     Args:
         judged: loops, in the order of the slider.
-        names: name of each operating point.
-        wanted: limits of each.
-        planes: name of the plane of each, between which the reader chooses.
+        names: the name of each operating point.
+        wanted: the limits at each operating point.
+        planes: the name of the plane of each loop. The reader chooses a plane.
     """
     colours = lobe_colours(judged)
     size = [j.margins.modulus if j.margins.stable else -1.0 for j in judged]
@@ -183,7 +189,7 @@ def _drawn_in(level_db: float) -> float:
     return 1.0 + math.log(size) if size > 1.0 else size
 
 
-# limits
+# Limits
 
 
 def is_stability(check: Check) -> bool:
@@ -192,16 +198,16 @@ def is_stability(check: Check) -> bool:
 
 
 def relative_margin(check: Check) -> Array:
-    """Return the margin of each value to its limit as a share of the limit: 0 on the limit, NaN for limits of zero."""
+    """Return the margin of each value to its limit as a share of the limit: 0 at the limit, NaN for a limit of zero."""
     bound = np.broadcast_to(np.asarray(check.limit, float), check.values.shape)
     left = check.values - bound if check.sense == ">=" else bound - check.values
     return np.asarray(np.divide(left, np.abs(bound), out=np.full(len(left), np.nan), where=bound != 0.0))
 
 
 def limits_over_flight(checks: Sequence[Check]) -> list[Plot]:
-    """Return the margin to each limit over the flight, and each limited quantity with its limit."""
+    """Return figures of the margin to each limit over the flight, and of each limited quantity with its limit."""
     held = [c for c in checks if np.isfinite(c.time_s).all() and not is_stability(c)]
-    found = [c for c in held if np.isfinite(c.values).any()]  # a vehicle without a mode has no peak of it
+    found = [c for c in held if np.isfinite(c.values).any()]  # a vehicle without a mode has no peak for it
     if np.unique(np.concatenate([np.zeros(0), *(c.time_s for c in found)])).size < 2:  # nothing over time
         return []
     relative, apart = list[Series](), dict[str, list[Check]]()
@@ -229,13 +235,15 @@ def limits_over_flight(checks: Sequence[Check]) -> list[Plot]:
 
 
 def _limited(key: str) -> str:
-    """Return the key of the quantity that a check limits, for any vehicle and any state of the other axes."""
+    """Return the key of the quantity that a check limits, without the prefixes for dispersed vehicles and coupled
+    axes.
+    """
     plain = key.removeprefix("dispersed_")
     return next((k for k in QUANTITIES if plain.startswith("coupled_") and plain.endswith(k)), plain)
 
 
 def _over_time(checks: Sequence[Check], values: Sequence[Array]) -> tuple[Array, Array]:
-    """Return values over time, those of each check in order and separate from the next."""
+    """Return times and values of all checks, each check in order of time and separated from the next by NaN."""
     t, y = [np.zeros(0)], [np.zeros(0)]
     for check, some in zip(checks, values, strict=True):
         order = np.argsort(check.time_s)
@@ -276,11 +284,11 @@ def _limit_panel(checks: Sequence[Check]) -> Panel:
     return Panel(text[:1].upper() + text[1:], series, "time, s", checks[0].unit, y_range=reach)
 
 
-# the design
+# The design
 
 
 def gains_plot(design: Design, heads: dict[str, str]) -> Plot:
-    """Return the gain schedules, with a point at each row of a table. `heads` are names of gains with their units."""
+    """Return the gain schedules, with a point at each row of a table. `heads` maps names to labels with units."""
     panels: dict[tuple[str, str], Panel] = {}
     for number in range(len(design.stage) or 1):
         own = design.of_stage(number)
@@ -305,14 +313,14 @@ def gains_plot(design: Design, heads: dict[str, str]) -> Plot:
 
 
 def filter_plot(vehicle: Vehicle, design: Design, nodes: Sequence[Node] = ()) -> Plot:
-    """Return the response of each stage's own bending filter, over the bands of the bending modes at `nodes`."""
+    """Return the response of each stage's bending filter, over the frequency bands of the bending modes at `nodes`."""
     gain, phase = list[Series](), list[Series]()
     for number in range(len(design.stage) or 1):
         own, computer = design.of_stage(number), vehicle.computer_of(number) or vehicle.computer
         assert computer is not None
         hz = np.geomspace(0.1, 0.5 / computer.sample_s * (1.0 - 1e-6), 500)
         flown = bending_filter(own)
-        for n in range(0, len(flown.filters), max(1, len(flown.filters) - 1)):  # of a schedule, both ends
+        for n in range(0, len(flown.filters), max(1, len(flown.filters) - 1)):  # both ends of a schedule
             flt = flown.filters[n].discretize(computer.sample_s, own.filter.discretization, own.filter.prewarp_hz)
             response = flt.frequency_response(2.0 * np.pi * hz)
             name = f"stage {number + 1}" if design.stage else "filter"

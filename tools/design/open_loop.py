@@ -1,4 +1,4 @@
-"""The open loop at an operating point, ready to be drawn: a smooth curve with its lobes and crossings named."""
+"""The open loop at an operating point, prepared for drawing: a smooth curve with named lobes and crossings."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from maxq.design.margins.lobes import Lobe
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify.judging import JudgedLoop
 
-BOTTOM_DB = -40.0  # of Bode and Nichols plots, if the curve extends farther
+BOTTOM_DB = -40.0  # lower limit of Bode and Nichols plots
 LOWEST_HZ = 0.02
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A point of the curve with a name: the top of a lobe, or a crossing."""
+    """A marked point of the curve: the top of a lobe, or a crossing. A crossing that sets no margin has no text."""
 
     frequency_hz: float
     loop: complex
@@ -30,9 +30,9 @@ class Mark:
 
 @dataclass(frozen=True)
 class LoopPicture:
-    """The content of a loop's picture.
+    """The content of a picture of a loop.
 
-    The points of the curve are in rising frequency, close enough to follow every resonance.
+    The points of the curve are in order of frequency, and close enough to follow every resonance.
     """
 
     title: str
@@ -43,18 +43,20 @@ class LoopPicture:
 
 
 def named(lobe: Lobe) -> str:
-    """Return the name of a lobe's pole for texts."""
+    """Return the name of a lobe's pole as it appears in texts."""
     return lobe.label.replace("bending ", "mode ")
 
 
 def picture_of(judged: JudgedLoop, title: str, zones: Sequence[Zone] = ()) -> LoopPicture:
-    """Return the loop at an operating point: lobes, and crossings of 0 dB and of the negative real axis."""
+    """Return the picture of the loop at an operating point: its lobes, and its crossings of 0 dB and the negative real
+    axis.
+    """
     margins, curve = judged.margins, judged.margins.curve
     f, loop = smooth(judged.loop.response, curve.frequency_hz, curve.loop)
     marks: list[Mark] = []
     for lobe in judged.lobes:
         at, text = np.array([lobe.peak_hz]), named(lobe)
-        if marks and abs(marks[-1].frequency_hz / lobe.peak_hz - 1.0) < 1e-3:  # two pendulums that swing as one
+        if marks and abs(marks[-1].frequency_hz / lobe.peak_hz - 1.0) < 1e-3:  # two pendulums with one frequency
             text = f"{marks.pop().text}, {text}"
         marks.append(Mark(lobe.peak_hz, complex(judged.loop.response(at)[0]), text))
     gain, phase = margins.gain_crossings, margins.phase_crossings
@@ -72,7 +74,7 @@ def picture_of(judged: JudgedLoop, title: str, zones: Sequence[Zone] = ()) -> Lo
 
 
 def unwrapped_deg(picture: LoopPicture) -> Array:
-    """Return the phase without jumps, in (-360, 0] degrees at its beginning."""
+    """Return the phase without jumps, in degrees. It begins between -360 and 0, where the curve is first visible."""
     turned = np.degrees(np.unwrap(np.angle(picture.loop)))
     seen = (picture.frequency_hz >= LOWEST_HZ) & (decibels(picture.loop) > BOTTOM_DB)
     if seen.any():
@@ -83,7 +85,7 @@ def unwrapped_deg(picture: LoopPicture) -> Array:
 def smooth(
     response: Callable[[Array], ComplexArray], frequency_hz: Array, loop: ComplexArray
 ) -> tuple[Array, ComplexArray]:
-    """Return the curve with points added until no corner is visible, in steps of at most 4 degrees and 1 dB."""
+    """Return the curve with points added where it is visible, until steps are at most 4 degrees and 1 dB."""
     f, values = frequency_hz, loop
     for _ in range(8):
         level = decibels(values)

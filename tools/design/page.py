@@ -54,10 +54,10 @@ _MEANINGS = {
     "sum": "gain or phase of L at the crossing",
     "left": "margin: distance of the sum from 0 dB or -180 deg",
 }
-"""The meanings of columns of the tables of margins and budgets, by head."""
+"""The meanings of the columns in the tables of margins and budgets, by head."""
 _TRIED_HZ = np.geomspace(0.02, 20.0, 40)
 PageTable = tuple[str, Sequence[tuple[str, ...]]]
-"""The caption and the rows, the head first."""
+"""The caption of a table, and its rows, beginning with the head."""
 
 
 @dataclass(frozen=True)
@@ -66,13 +66,13 @@ class DesignPage:
 
     - `verdict`: the outcome in capitals, a colon and the reason.
     - `block`: rows of the title block.
-    - `others`: the open loops of the other plane, where it differs.
-    - `wanted`: returns the limits of a stage.
-    - `data`: files in the same folder, and their content.
+    - `others`: the open loops of the other plane, if they differ.
+    - `wanted`: a function that returns the limits of a stage.
+    - `data`: the names of files in the same folder, and their content.
     - `gaps`: intervals without operating points.
-    - `flown`: captions and limits of the same design as it flies.
-    - `more`: headings, notes and tables after all others.
-    - `texts`: headings and lines of tables as the terminal shows them.
+    - `flown`: captions and checks of the same design as it flies.
+    - `more`: headings, notes and tables that follow all others.
+    - `texts`: headings and lines of tables in the form of the terminal.
     """
 
     name: str
@@ -101,7 +101,7 @@ def other_plane(
     nodes: Callable[[list[float], Plane], list[Node]],
     watch: Callable[[int], None] | None = None,
 ) -> list[JudgedLoop]:
-    """Return the loops of the plane that was not judged, or none if it has the same loops.
+    """Return the loops of the plane that was not judged, or none if they are equal to those of the judged plane.
 
     `nodes` returns the operating points at vehicle times (s) in a plane.
     """
@@ -123,7 +123,7 @@ def _close(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def write_page(path: Path, shown: DesignPage) -> Path:
-    """Write the page. Raises FileError."""
+    """Write the page, and return its path. Raises FileError."""
     from maxq.tools.pages.render import render  # noqa: PLC0415  # lazy: for the page only
 
     word, _, said = shown.verdict.partition(": ")
@@ -159,12 +159,12 @@ def _caption(group: Group) -> str:
 
 
 def titled(what: str, stage: str) -> str:
-    """Return a title with the name of its stage, if there are several."""
+    """Return a title, followed by the name of its stage if there are several."""
     return f"{what}, {stage}" if stage else what
 
 
 def _nearest(check: Check) -> float:
-    """Return the least remaining share of the limit, or inf without a value or a share."""
+    """Return the least margin of a check as a share of its limit, or infinity if it has none."""
     left = drawn.relative_margin(check)
     return float(np.nanmin(left)) if np.isfinite(left).any() else math.inf
 
@@ -174,7 +174,7 @@ def _outcome(check: Check) -> str:
 
 
 def _cells(check: Check) -> tuple[str, str, str, str]:
-    """Return the limit, the worst value, its margin and its place."""
+    """Return the cells of a check: its limit, the worst value, the margin to the limit, and the place."""
     k, unit = check.worst, f" {check.unit}" if check.unit else ""
     value = float(check.values[k])
     left = value - check.wanted if check.sense == ">=" else check.wanted - value
@@ -219,7 +219,7 @@ def _plots(shown: DesignPage) -> list[Plot]:
 
 
 def _tables(groups: Sequence[Group]) -> list[tuple[str, str, Sequence[PageTable]]]:
-    """Return the margins, budgets and lobes: headings, notes and tables."""
+    """Return the headings, notes and tables of the margins, budgets and lobes."""
     margins, budgets, lobes = list[PageTable](), list[PageTable](), list[PageTable]()
     for g in groups:
         _, _, *rows = margins_rows([(j.time_s, j.margins) for j in g.judged])

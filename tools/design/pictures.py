@@ -1,4 +1,6 @@
-"""The pictures of a design: the file names, and the functions that draw them. Figure numbers are those of the paper."""
+"""The pictures of a design: their file names, and the functions that draw them. Figure numbers are those of the
+paper.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,7 @@ _DERIVATIVES = {
 
 
 def derivatives(nodes: Sequence[Node], title: str = "") -> Figure:
-    """Draw Fig. 4: stability derivatives (eqs 4 to 8)."""
+    """Draw Fig. 4: the stability derivatives (eqs 4 to 8) over time."""
     time_s = [node.time_s for node in nodes]
     values = [node.derivatives for node in nodes]
     figure, places = sheet(2, 3, height_in=2.0, title=title)
@@ -44,7 +46,7 @@ def derivatives(nodes: Sequence[Node], title: str = "") -> Figure:
 
 
 def bending_frequencies(nodes: Sequence[Node], title: str = "") -> Figure:
-    """Draw Fig. 5: frequencies of the free-free modes, uncoupled."""
+    """Draw Fig. 5: the frequencies of the free-free modes, uncoupled."""
     time_s, modes_hz = [node.time_s for node in nodes], bending_hz(nodes)
     figure, (place,) = sheet(1, 1, height_in=2.8, title=title)
     for i, hz in enumerate(modes_hz):
@@ -60,13 +62,13 @@ def bending_frequencies(nodes: Sequence[Node], title: str = "") -> Figure:
 
 
 def bending_hz(nodes: Sequence[Node]) -> Array:
-    """Return the frequencies of the free-free modes, (modes, nodes)."""
+    """Return the frequencies of the free-free modes (Hz), (modes, nodes), NaN where a node has fewer modes."""
     omega = [node.vehicle.omega_radps for node in nodes]
     return np.array([[_entry(own, i) for own in omega] for i in range(max(map(len, omega)))]) / (2.0 * np.pi)
 
 
 def slosh_frequencies(nodes: Sequence[Node], tanks: Sequence[str], title: str = "") -> Figure:
-    """Draw Fig. 6: slosh frequencies of the liquids' pendulums, uncoupled, and their masses."""
+    """Draw Fig. 6: the uncoupled frequencies of the liquids' pendulums, and their masses."""
     time_s = [node.time_s for node in nodes]
     figure, places = sheet(1, 2, height_in=2.6, title=title)
     for k, name in enumerate(tanks):
@@ -88,7 +90,7 @@ def slosh_frequencies(nodes: Sequence[Node], tanks: Sequence[str], title: str = 
 
 
 def _entry(values: np.ndarray, i: int) -> float:
-    """Return the value of one of a vehicle's modes or tanks, or NaN, which is not drawn, if it has fewer."""
+    """Return the value for mode or tank `i` of a vehicle, or NaN, which is not drawn, if there are fewer."""
     return float(values[i]) if i < len(values) else float("nan")
 
 
@@ -131,10 +133,10 @@ def gains(designs: Mapping[str, Design], title: str = "") -> Figure:
 
 
 def filters(designs: Mapping[str, Design], nodes: Sequence[Node], title: str = "") -> Figure:
-    """Draw Figs 8, 12, 14: Bode plot of the bending filters, thick for the discrete filter that flies, thin for the
-    continuous one. Of a schedule, the last filter is paler than the first.
+    """Draw Figs 8, 12, 14: the Bode plot of the bending filters.
 
-    Shaded areas are bands of the bending frequencies over the operating points.
+    Thick curves show the discrete filter as flown, thin curves the continuous filter. The last filter of a schedule is
+    paler than the first. Shaded areas are the bands of the bending frequencies over the operating points.
     """
     figure, places = sheet(2, 1, height_in=2.2, title=title)
     sample_s = nodes[0].instruments.sample_s
@@ -188,9 +190,9 @@ def _bode(
 
 
 def peaks_over_order(series: Mapping[str, Mapping[str, float]]) -> Figure:
-    """Draw Fig. 9: worst first-mode peak of each design over the filter's structure.
+    """Draw Fig. 9: the worst first-mode peak of each design over the structure of the filter.
 
-    `series` maps name to structure to dB.
+    `series` maps the name of a design to its peaks (dB) by structure.
     """
     structures = sorted({structure for each in series.values() for structure in each})
     figure, (place,) = sheet(1, 1, height_in=3.2)
@@ -204,7 +206,7 @@ def peaks_over_order(series: Mapping[str, Mapping[str, float]]) -> Figure:
 
 
 def margins_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str = "") -> Figure:
-    """Draw the upper and lower gain margins, phase and delay margin and the least |1 + L|, with dotted limits.
+    """Draw the gain, phase and delay margins and the least |1 + L| over time, with dotted limits.
 
     An unstable loop has no margin and is marked by a cross at the bottom.
     """
@@ -239,7 +241,7 @@ def margins_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str =
 
 
 def lobes_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str = "") -> Figure:
-    """Draw the peak of every lobe. Filled marks are phase-stabilised, hollow ones gain-stabilised."""
+    """Draw the peak of every lobe over time. Filled marks are phase-stabilised, hollow marks gain-stabilised."""
     labels = list(dict.fromkeys(lobe.label for j in judged for lobe in j.lobes))
     figure, (place,) = sheet(1, 1, height_in=3.2, title=title)
     place.axhline(0.0, color=GREY, linewidth=0.8)
@@ -263,7 +265,7 @@ def lobes_over_time(judged: Sequence[JudgedLoop], wanted: Wanted, title: str = "
 
 
 Sheet = tuple[str, Callable[[], Figure]]
-"""The name of the files without suffix, and the function that draws the picture."""
+"""The file name of a picture without suffix, and the function that draws it."""
 
 
 def draw_all(
@@ -272,7 +274,10 @@ def draw_all(
     tell: Callable[[str, int, int], None],
     stop: Callable[[], bool] = lambda: False,
 ) -> list[Path]:
-    """Draw and save until `stop` returns True. Return the files."""
+    """Draw and save pictures until `stop` returns True. Return the paths of the files.
+
+    `tell` receives the name of the activity, the pictures done, and their number.
+    """
     files: list[Path] = []
     with drawing():
         for n, (stem, draw) in enumerate(sheets):
@@ -284,7 +289,9 @@ def draw_all(
 
 
 def judged_sheets(judged: Sequence[JudgedLoop], title: str, wanted: Wanted) -> list[Sheet]:
-    """Draw the margins and lobes over time, and Bode, Nichols and Nyquist plots at every operating point."""
+    """Return the sheets of margins and lobes over time, and of Bode, Nichols and Nyquist plots at every operating
+    point.
+    """
     over_time: list[Sheet] = [
         ("margins", lambda: margins_over_time(judged, wanted, f"Margins: {title}, {judged[0].node.plane}")),
         ("lobes", lambda: lobes_over_time(judged, wanted, f"Lobes: {title}, {judged[0].node.plane}")),
@@ -296,9 +303,9 @@ def judged_sheets(judged: Sequence[JudgedLoop], title: str, wanted: Wanted) -> l
 
 
 def loop_picture(judged: JudgedLoop, title: str, wanted: Wanted) -> Figure:
-    """Draw Bode, Nichols and Nyquist plots of one operating point.
+    """Draw the Bode, Nichols and Nyquist plots of one operating point.
 
-    Its zones are the required ones, else those measured.
+    The zone drawn is the required zone or, without a requirement, the zones whose clearance was measured.
     """
     zones = (wanted.zone,) if wanted.zone is not None else tuple(c.zone for c in judged.margins.clearances)
     return draw_loop(picture_of(judged, f"{title}, {judged.node.plane}, {judged.time_s:g} s", zones))
@@ -307,8 +314,9 @@ def loop_picture(judged: JudgedLoop, title: str, wanted: Wanted) -> Figure:
 def case_sheets(
     name: str, design: Design, nodes: Sequence[Node], along: Sequence[Node], tanks: Sequence[str], vehicle: str = ""
 ) -> list[Sheet]:
-    """Draw the gains and filter of a design at `nodes`, and derivatives, bending and slosh frequencies `along` the
-    flight.
+    """Return the sheets of a design: its gains, its filter, and the derivatives and frequencies of its vehicle.
+
+    The filter is drawn over the modes at `nodes`. `along` contains the operating points for curves over time.
     """
     sheets: list[Sheet] = [("vehicle-derivatives", lambda: derivatives(along, f"Stability derivatives: {vehicle}"))]
     if any(len(node.vehicle.omega_radps) for node in along):
@@ -325,7 +333,10 @@ def case_sheets(
 def order_sheets(
     series: Mapping[str, Mapping[str, float]], designs: Mapping[str, Mapping[str, Design]], nodes: Sequence[Node]
 ) -> list[Sheet]:
-    """Draw peaks over the filter's order by name and structure, and gains and filters of all orders, by schedule."""
+    """Return the sheets of --orders: the peaks over the filter's order, and the gains and filters for each schedule.
+
+    `series` maps schedule and structure to a peak (dB); `designs` maps them to a design.
+    """
     return [
         ("orders-peaks", partial(peaks_over_order, series)),
         *((f"orders-gains-{schedule}", partial(gains, each)) for schedule, each in designs.items()),
@@ -334,5 +345,5 @@ def order_sheets(
 
 
 def _stamp(time_s: float) -> str:
-    """Return a time for a file's name: 005.0s sorts before 040.0s."""
+    """Return a time for the name of a file, such that names sort by time: 005.0s, 040.0s."""
     return f"{time_s:05.1f}s" if round(time_s, 1) == round(time_s, 9) else f"{time_s:08.4f}s"

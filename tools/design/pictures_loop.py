@@ -1,4 +1,4 @@
-"""Pictures of one open loop: Bode, Nichols and Nyquist on a sheet, with its lobes, crossings and zones named."""
+"""The picture of one open loop: Bode, Nichols and Nyquist plots on a sheet, with named lobes, crossings and zones."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from maxq.tools.design.open_loop import BOTTOM_DB, LOWEST_HZ, LoopPicture, Mark,
 from maxq.tools.plots.palette import BLACK, BLUE, GREY, ON_LIGHT, PALE, RED
 from maxq.tools.plots.style import label, name_point, plain_numbers, sheet
 
-TOP_DB = 50.0  # of Bode and Nichols plots, if the curve extends farther
+TOP_DB = 50.0  # upper limit of Bode and Nichols plots
 
 
 def draw_loop(picture: LoopPicture) -> Figure:
-    """Draw Bode at the left, Nichols and Nyquist at the right."""
+    """Draw the Bode plot on the left, and the Nichols and Nyquist plots on the right."""
     figure, places = sheet(2, 2, height_in=3.3, width_in=8.4)
     _bode(picture, places[0], places[2])
     draw_nichols(picture, places[1])
@@ -32,10 +32,7 @@ def draw_loop(picture: LoopPicture) -> Figure:
 
 
 def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
-    """Draw the Bode plot with unwrapped phase, which has no jumps.
-
-    Dotted lines are at -180 deg and whole turns from it.
-    """
+    """Draw the Bode plot with an unwrapped phase. Dotted lines are at -180 deg and at whole turns from it."""
     f, loop = picture.frequency_hz, picture.loop
     level, turned = decibels(loop), unwrapped_deg(picture)
     seen = (f >= LOWEST_HZ) & (level > BOTTOM_DB)
@@ -82,8 +79,8 @@ _NAMED_HZ = (0.1, 1.0, 10.0)
 def contours() -> list[tuple[str, Array, Array]]:
     """Return the M and N contours of the Nichols plane as (name, phase of L in deg, |L| in dB).
 
-    T = L / (1 + L) has a constant magnitude, named in dB, or a constant phase, without a name. The contours follow from
-    L = T / (1 - T).
+    On a contour, T = L / (1 + L) has a constant magnitude, which names it (in dB), or a constant phase, without a name.
+    The contours follow from L = T / (1 - T).
     """
     out = []
     for m_db in _M_DB:
@@ -97,16 +94,16 @@ def contours() -> list[tuple[str, Array, Array]]:
 
 
 def _placed(loop: ComplexArray) -> tuple[Array, Array]:
-    """Return the phase in [-360, 0) and level, with gaps where the phase jumps."""
+    """Return the phase in [-360, 0) degrees and the level in dB, with gaps where the phase jumps."""
     turn, level = _turn(loop), decibels(loop)
     jump = np.flatnonzero(np.abs(np.diff(turn)) > 180.0) + 1
     return np.insert(turn, jump, np.nan), np.insert(level, jump, np.nan)
 
 
 def draw_nichols(picture: LoopPicture, place: Axes, *, small: bool = False) -> None:
-    """Draw the loop in the Nichols plane over M and N contours, with lobes and margins named and zones shaded.
+    """Draw the loop in the Nichols plane over M and N contours, with named lobes and margins and shaded zones.
 
-    `small` is True for a panel of many, with names of lobes only.
+    `small` is True for a panel among many, which names only the lobes.
     """
     level, turn = decibels(picture.loop), _turn(picture.loop)
     seen = level[picture.frequency_hz >= LOWEST_HZ]
@@ -145,7 +142,9 @@ def _name_contour(place: Axes, x: float, y: float, name: str, **look: Any) -> No
 
 
 def _name_frequencies(place: Axes, picture: LoopPicture, curve: Array) -> None:
-    """Draw dots at round frequencies, named if there is space."""
+    """Draw dots at round frequencies, and name those for which there is space. `curve` is (2, n): the points of the
+    picture.
+    """
     f, (low, high) = picture.frequency_hz, place.get_ylim()
     for hz in _NAMED_HZ:
         k = int(np.argmin(np.abs(np.log(f / hz))))
@@ -159,7 +158,7 @@ def _name_frequencies(place: Axes, picture: LoopPicture, curve: Array) -> None:
 def _nyquist(picture: LoopPicture, place: Axes) -> None:
     """Draw the Nyquist plot.
 
-    The radius is true up to 1 and logarithmic beyond, r = 1 + ln|L|, so that lobes of any size fit.
+    The radius is |L| up to 1, and r = 1 + ln |L| beyond, so that lobes of any size fit.
     """
     seen = picture.frequency_hz >= LOWEST_HZ
     curve = _drawn_in(picture.loop[seen])
@@ -191,7 +190,7 @@ def _nyquist(picture: LoopPicture, place: Axes) -> None:
 
 
 def _cross(place: Axes, x: float) -> None:
-    """Draw the critical point as a text, which the names of points avoid."""
+    """Draw the critical point as a text, so that the names of points avoid it."""
     place.text(x, 0.0, "+", color=RED, fontsize=15, fontweight="bold", ha="center", va="center_baseline")
 
 
@@ -220,12 +219,12 @@ def _colour(n: int) -> str:
 
 
 def _turn(loop: ComplexArray) -> Array:
-    """Return the phase in [-360, 0) degrees, with -180 in the middle."""
+    """Return the phase in [-360, 0) degrees, so that -180 is in the middle."""
     return np.asarray(np.degrees(np.angle(-loop)) - 180.0)
 
 
 def _broken(wrapped_deg: Array, other: Array) -> tuple[Array, Array]:
-    """Return `other` and the phase with a gap where the phase jumps, with each end extended to the edge."""
+    """Return `other` and the wrapped phase, with gaps where the phase jumps. Both ends of a gap extend to the edge."""
     other = np.asarray(other, float)
     jump = np.flatnonzero(np.abs(np.diff(wrapped_deg)) > 180.0)
     centre = 0.0 if wrapped_deg.max() > 0.0 else -180.0

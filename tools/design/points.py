@@ -1,4 +1,6 @@
-"""Designs at operating points of published derivatives: `simdesign analyse DESIGN --points FILE`, cases of points."""
+"""Designs at operating points of published derivatives: `simdesign analyse DESIGN --points FILE`, and cases of
+points.
+"""
 
 from __future__ import annotations
 
@@ -36,13 +38,13 @@ from maxq.tools.design.report import (
 
 RECORD_NAME, CASE_RECORD_NAME = "analysis.json", "design.json"
 _NO_FLIGHT = ("scenario", "vehicle", "faults", "every_s", "errata", "plant", "axis", "plots")
-"""The options that need a flight."""
+"""The options that require a flight."""
 
 
 def points_of(order: AnalysisOrder) -> str | None:
-    """Return the file of derivatives of an order, or that in the basis of its design if it has no scenario either.
+    """Return the file of derivatives in the options, else that in the basis of the design, or None.
 
-    Raises ScenarioError for a built-in design that cannot be read.
+    The basis is used only if no scenario is given. Return None also for a design that cannot be read.
     """
     if order.points is not None or "scenario" in order.given:
         return order.points
@@ -51,14 +53,17 @@ def points_of(order: AnalysisOrder) -> str | None:
         return None
     try:
         basis = read_design(order.design).basis
-    except ScenarioError:  # which reading it with a scenario reports
+    except ScenarioError:  # reported when the design is read with a scenario
         return None
     points = (basis or {}).get("points")
     return None if points is None else str(points)
 
 
 def execute(order: AnalysisOrder, points: str) -> int:
-    """Analyse a design at given points. Return the exit code."""
+    """Analyse a design at given points, write its record and print the report. Return the exit code.
+
+    Raises CommandError for an option that requires a flight, and ScenarioError.
+    """
     for key in order.given:
         if key in _NO_FLIGHT and getattr(order, key):
             raise CommandError(f"--{key.removesuffix('_s')} has no meaning with points: they are given, not flown")
@@ -89,7 +94,7 @@ def execute(order: AnalysisOrder, points: str) -> int:
 
 
 def is_case_of_points(case: str) -> bool:
-    """Return True for a case file with points; False if it cannot be read."""
+    """Return True for a case file with points. Return False for other files, also if the file cannot be read."""
     try:
         return "points" in Reading().document(*locate(case, "case"), "case")
     except ScenarioError:
@@ -97,7 +102,10 @@ def is_case_of_points(case: str) -> bool:
 
 
 def make(case: str, *, overrides: tuple[str, ...] = (), out: str | None = None) -> Exit:
-    """Optimise a case of points, write the design, and print the result. Raises ScenarioError and FileError."""
+    """Optimise a case of points, write the design, and print the result. Return the exit code.
+
+    Raises ScenarioError and FileError.
+    """
     loaded = read_case(case, overrides)
     folder = Path(out or Path("runs") / plain_name(loaded.name, "design"))
     check_writable(folder)
@@ -124,14 +132,19 @@ def make(case: str, *, overrides: tuple[str, ...] = (), out: str | None = None) 
 
 
 def designed_at_points(loaded: LoadedCase, progress: SearchProgress | None = None) -> tuple[DesignOutcome, Solution]:
-    """Return the design of a case of points, judged, and its solution. Raises ValueError."""
+    """Return the judged design of a case of points, and its solution. Raises UnsolvableError or ValueError if there is
+    none.
+    """
     (stage,) = each_stage(loaded)
     solution = solve(stage, progress=progress)
     return judge_solution(stage, solution), solution
 
 
 def _kind_of(order: AnalysisOrder, read: GivenPoints, basis: Basis | None) -> LoopKind:
-    """Return the kind of loop: as ordered, else as designed, else as the computer runs it, `exact` without sampling."""
+    """Return the kind of loop: from the options, else from the basis, else by the computer.
+
+    For the computer, it is `sampled`, or `exact` if the computer does not sample. Raises CommandError.
+    """
     samples = read.computer.sample_s > 0.0
     if "kind" in order.given:
         if order.kind == "sampled" and not samples:

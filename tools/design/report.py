@@ -1,4 +1,6 @@
-"""The results that `simdesign` prints and writes: limits, margins and lobes; for a case, also gains, filter, search."""
+"""The results that `simdesign` prints and writes: limits, margins and lobes; for a case also gains, filter and
+search.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,7 @@ GAIN_HEADS = {
     "k_zd_radspm": "k_zd, rad s/m",
     "k_z_radpm": "k_z, rad/m",
 }
-DRIFT_GAINS = ("k_zd_radspm", "k_z_radpm")  # orders of magnitude below the others
+DRIFT_GAINS = ("k_zd_radspm", "k_z_radpm")  # orders of magnitude smaller than the other gains
 MET, MISSED = "met", "MISSED"
 KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
 _PARTS = {"rigid body": "rigid", "aerodynamics": "aero", "engine inertia": "engine"}
@@ -59,7 +61,7 @@ _PARTS = {"rigid body": "rigid", "aerodynamics": "aero", "engine inertia": "engi
 
 @dataclass(frozen=True)
 class AnalysisOrder:
-    """The options of `simdesign analyse` and of `simdesign errata`, which has no kind, axis or page."""
+    """The options of `simdesign analyse` and `simdesign errata`. The latter has no kind, axis or page."""
 
     design: str = "ksr3-default"
     scenario: str = "nominal"
@@ -71,20 +73,19 @@ class AnalysisOrder:
     errata: str = "corrected"
     plant: PlantKind = "flown"
     faults: bool = False
-    given: tuple[str, ...] = ()  # options that differ from the design's basis by the user's choice
+    given: tuple[str, ...] = ()  # names of the options that the user gave
     out: str | None = None
     page: bool = True
-    plots: bool = False  # pictures of every operating point, too
+    plots: bool = False  # also draw pictures of every operating point
     points: str | None = None  # file of published derivatives instead of a scenario
 
 
 @dataclass(frozen=True)
 class Group:
-    """The results of a stage, with its name for texts, "" for a single stage.
+    """The results of a stage. `stage` is its name for texts, "" for a single stage.
 
-    `together` contains the margins of all axes.
-
-    `worst` and `dispersed` are the dispersed vehicles found by the search, and the limits on them.
+    `found` are the checks of its limits, `together` and `coupled` the margins of all axes together and their checks.
+    `worst` and `dispersed` are the worst dispersed vehicles found and the checks of the limits on them.
     """
 
     stage: str
@@ -105,7 +106,7 @@ def analysis_report(
 ) -> str:
     """Return the report of `simdesign analyse`.
 
-    `judged_by` is `judged_by_text`. `loss` is that of the design's flight.
+    `judged_by` is the text of `judged_by_text`. `loss` is the event by which the design's flight is lost.
     """
     way = "at" if order.points is not None else "along"
     where = f"{way} {order.scenario}, {order.axis}; loop opened at the gimbal command; {KINDS[order.kind]}"
@@ -133,7 +134,7 @@ def analysis_report(
 
 
 def analysis_verdict(groups: Sequence[Group], loss: Event | None = None) -> str:
-    """Return the last line. A design whose own flight is lost has failed, whatever its margins before."""
+    """Return the last line. A design whose own flight is lost has failed, whatever its margins before the loss."""
     words = {
         "unstable_poles": "unstable", "coupled_unstable": "unstable with all axes",
         "dispersed_unstable_poles": "a dispersed vehicle is unstable",
@@ -182,7 +183,7 @@ def _joined(*parts: Sequence[str]) -> str:
 
 
 def comments(made: CaseDesign) -> list[str]:
-    """Return lines for the head of the design file: the case that made it, and the result of its limits."""
+    """Return the lines at the head of the design file: the case that made it, and the limits that it misses."""
     lines = []
     for outcome, solution in made.results:
         case = outcome.loaded.case
@@ -202,42 +203,42 @@ def comments(made: CaseDesign) -> list[str]:
 
 
 def uncovered_lines(vehicle: Vehicle, found: Sequence[Uncovered]) -> list[str]:
-    """Return the intervals of a design's flight without operating points, a line each, with the name of the stage."""
+    """Return a line for each interval of a design's flight without operating points, with the name of the stage."""
     names = [stage_name(vehicle, one.stage) for one in found]
     return [f"{f'{name}, ' if name else ''}{one.text}" for name, one in zip(names, found, strict=True)]
 
 
 def uncovered_table(vehicle: Vehicle, found: Sequence[Uncovered]) -> list[str]:
-    """Return the same below a title, or nothing without intervals."""
+    """Return the lines of `uncovered_lines` below a title, or none without such intervals."""
     return ["not covered by operating points", *(f"  {line}" for line in uncovered_lines(vehicle, found))] * bool(found)
 
 
 def uncovered_record(found: Sequence[Uncovered]) -> list[dict[str, Any]]:
-    """Return the same for JSON."""
+    """Return the intervals without operating points for JSON, with stages numbered from 1."""
     return [asdict(one) | {"stage": one.stage + 1} for one in found]
 
 
-# tables
+# Tables
 
 
 def limits_table(checks: Sequence[Check], title: str = "limits") -> list[str]:
-    """Return every limit, its worst value and the place."""
+    """Return a row for each limit, with its worst value and the place."""
     rows = [("requirement", "outcome", "limit", "value", "at")]
     for check in checks:
         k, unit = check.worst, f" {check.unit}" if check.unit else ""
         at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
         digits = 4 if check.passed else 7  # after rounding, a miss may look like the limit
         value = float(check.values[k])
-        worst = "-" if math.isinf(value) else number_text(value, digits) + unit  # no quantity there that could miss it
+        worst = "-" if math.isinf(value) else number_text(value, digits) + unit  # infinite: no quantity there
         limit = f"{check.sense} {check.wanted:g}{unit}"
         rows.append((check.text, MET if check.passed else MISSED, limit, worst, at))
     return [title, *aligned(rows, "  ", right=(3, 4))]
 
 
 def nodes_table(checks: Sequence[Check], judged: Sequence[JudgedLoop]) -> list[str]:
-    """Return a table with a row per operating point and a column per limit.
+    """Return a table with a row for each operating point and a column for each limit.
 
-    A value that misses its limit is marked with !, and so is the row.
+    A value that misses its limit is marked by !, and its row by FAIL.
     """
     shown = [check for check in checks if math.isfinite(check.time_s[0]) and check.key != "unstable_poles"]
     stable = next((check for check in checks if check.key == "unstable_poles"), None)
@@ -255,15 +256,15 @@ def nodes_table(checks: Sequence[Check], judged: Sequence[JudgedLoop]) -> list[s
 
 
 def _bound(check: Check) -> str:
-    """Return the limit, or its least and largest over time."""
+    """Return the limit, or its least and greatest values if it changes over time."""
     ends = dict.fromkeys(f"{end(check.limit):g}" for end in (np.min, np.max))
     return f"{check.sense} {'..'.join(ends)} "
 
 
 def margins_table(judged: Sequence[JudgedLoop]) -> list[str]:
-    """Return a row per operating point: margins up and down, by class, and the distances to -1.
+    """Return a row for each operating point, with its margins and the distances to -1.
 
-    With adaptation, they include the margins at the limits of the total gain.
+    For an adaptive law, further tables contain the margins at both limits of the total gain.
     """
     out = _margins_rows("margins over all crossings", [(j.time_s, j.margins) for j in judged])
     for end in (0, 1):
@@ -279,7 +280,7 @@ def _margins_rows(title: str, found: Sequence[tuple[float, Margins]]) -> list[st
 
 
 def margins_rows(found: Sequence[tuple[float, Margins]]) -> list[tuple[str, ...]]:
-    """Return the cells of a table of margins over time (s), with two rows of heads first."""
+    """Return the rows of a table of margins over time (s), beginning with two rows of heads."""
     rows: list[tuple[str, ...]] = [
         ("time, s", "loop", "gain up", "down", "phase", "delay", "least", "diamond", "aero", "rigid", "rigid", "cross"),
         ("", "", "dB", "dB", "deg", "ms", "|1+L|", "clear", "dB", "dB", "deg", "Hz"),
@@ -305,8 +306,9 @@ def margins_rows(found: Sequence[tuple[float, Margins]]) -> list[tuple[str, ...]
 
 
 def multiloop_table(together: Sequence[MultiloopMargins]) -> list[str]:
-    """Return a row per operating point: of each axis the lesser gain margin and the phase margin, and the disk of
-    all.
+    """Return a row for each operating point: gain and phase margin of each axis, and the disk margin of all loops.
+
+    The gain margin is the lesser of the upper and the lower gain margin.
     """
     if not together:
         return []
@@ -325,8 +327,9 @@ def multiloop_table(together: Sequence[MultiloopMargins]) -> list[str]:
 
 
 def lobes_table(judged: Sequence[JudgedLoop]) -> list[str]:
-    """Return a row per operating point and a column per lobe: its peak, and G for gain-stabilised, or P and the phase
-    to instability.
+    """Return a row for each operating point and a column for each lobe.
+
+    A cell contains the peak, and G for gain-stabilised, or P and the phase margin for phase-stabilised.
     """
     rows = lobes_rows(judged)
     if not rows:
@@ -336,7 +339,7 @@ def lobes_table(judged: Sequence[JudgedLoop]) -> list[str]:
 
 
 def lobes_rows(judged: Sequence[JudgedLoop]) -> list[tuple[str, ...]]:
-    """Return the cells of `lobes_table`, its head first, or none without lobes."""
+    """Return the rows of `lobes_table`, beginning with the head, or none without lobes."""
     labels = list(dict.fromkeys(lobe.label for j in judged for lobe in j.lobes))
     heads = (label.replace("bending", "mode") for label in labels)
     rows: list[tuple[str, ...]] = [("time, s", *heads)] * bool(labels)
@@ -347,8 +350,9 @@ def lobes_rows(judged: Sequence[JudgedLoop]) -> list[tuple[str, ...]]:
 
 
 def budget_table(judged: Sequence[JudgedLoop], crossing: str, column: Literal["gain_db", "phase_deg"]) -> list[str]:
-    """Return a row per operating point: the contribution of each part to gain or phase at the crossing that sets a
-    margin, and the remaining margin.
+    """Return a row for each operating point: the contributions to gain or phase at the crossing that sets a margin.
+
+    The last column is the remaining margin.
     """
     rows, unit = budget_rows(judged, crossing, column), "deg" if column == "phase_deg" else "dB"
     if not rows:
@@ -359,7 +363,7 @@ def budget_table(judged: Sequence[JudgedLoop], crossing: str, column: Literal["g
 def budget_rows(
     judged: Sequence[JudgedLoop], crossing: str, column: Literal["gain_db", "phase_deg"]
 ) -> list[tuple[str, ...]]:
-    """Return the cells of `budget_table`, its head first, or none without such a crossing."""
+    """Return the rows of `budget_table`, beginning with the head, or none without such a crossing."""
     have = [j for j in judged if crossing in j.budgets]
     if not have:
         return []
@@ -376,7 +380,7 @@ def budget_rows(
 
 
 def design_table(design: Design) -> list[str]:
-    """Return the gains and the filter."""
+    """Return the lines of a table of the gains and the filter."""
     names = (design.gains.over, *design.gain_names)
     rows = [tuple(GAIN_HEADS[name] for name in names)]
     for at, *gains in zip(*(design.gains.table[name] for name in names), strict=True):
@@ -399,12 +403,12 @@ def design_table(design: Design) -> list[str]:
 
 
 def search_table(solution: Solution) -> list[str]:
-    """Return the table on the certainty of the optimum."""
+    """Return the lines of a table on the search and the certainty of the optimum."""
     return ["search", *aligned(search_rows(solution), "  ")]
 
 
 def search_rows(solution: Solution) -> list[tuple[str, str]]:
-    """Return the names and texts of the search and of the certainty of the optimum."""
+    """Return the names and texts of the rows on the search and the certainty of the optimum."""
     c = solution.certificate
     counts = Counter(x.what for x in solution.constraints if x.active)
     active = [f"{what} ({n} points)" if n > 1 else what for what, n in counts.items()]
@@ -424,7 +428,7 @@ def search_rows(solution: Solution) -> list[tuple[str, str]]:
 
 
 def wind_table(outcome: DesignOutcome) -> list[str]:
-    """Return the worst root mean squares in the case's wind, and those of the scenario's own design."""
+    """Return the largest root mean squares in the case's wind, for the design and for the scenario's own design."""
     if not outcome.in_wind:
         return []
     times, rows = [j.time_s for j in outcome.judged], [("", "rms", "at", "before", "at")]
@@ -438,7 +442,7 @@ def wind_table(outcome: DesignOutcome) -> list[str]:
 
 
 def _worst(values: Array, times_s: Sequence[float], unit: str) -> tuple[str, str]:
-    """Return the largest value and its operating point. An unstable loop has none."""
+    """Return the largest value and its operating point, both as text. NaN denotes an unstable loop."""
     k = int(np.argmax(np.isnan(values) if np.isnan(values).any() else values))
     value = float(values[k])
     return "unstable" if math.isnan(value) else f"{number_text(value)} {unit}", f"{times_s[k]:g} s"
@@ -452,7 +456,7 @@ def _lobe(lobe: Lobe | None, stable: bool) -> str:
 
 
 def number(value: float, digits: int) -> str:
-    """Return a value for a cell, or `-` without one."""
+    """Return a value as the text of a cell, or `-` for NaN and minus infinity."""
     return "-" if math.isnan(value) or value == -math.inf else f"{value:z.{digits}f}"
 
 
@@ -472,7 +476,7 @@ _NUMBERS = ("stable", "unstable_poles", "growth_1ps", "growth_hz", "crossover_hz
 
 
 def margins_record(m: Margins) -> dict[str, Any]:
-    """Return the stability and margins with their frequencies."""
+    """Return the stability of a loop, and its margins with their frequencies, for JSON."""
     record: dict[str, Any] = {key: getattr(m, key) for key in _NUMBERS}
     for key, unit in _BOUNDS.items():
         bound = getattr(m, f"{key}_{unit}")
@@ -484,7 +488,7 @@ _RIGID_BODIES: dict[str, RigidBody] = {"without_m_alpha": "paper", "with_m_alpha
 
 
 def node_record(judged: JudgedLoop) -> dict[str, Any]:
-    """Return the record of one node."""
+    """Return the record of one operating point."""
     m = judged.margins
     record = {"time_s": judged.time_s, **judged.loop.law.gains, **margins_record(m)}
     return record | {
@@ -499,7 +503,7 @@ def node_record(judged: JudgedLoop) -> dict[str, Any]:
 
 
 def checks_record(checks: Sequence[Check]) -> list[dict[str, Any]]:
-    """Return the limits and the values reached."""
+    """Return the record of limits and the values reached."""
     return [
         {
             "key": c.key,
@@ -519,7 +523,7 @@ def checks_record(checks: Sequence[Check]) -> list[dict[str, Any]]:
 def analysis_record(
     name: str, order: AnalysisOrder, groups: Sequence[Group], judged_by: str, loss: Event | None = None
 ) -> dict[str, Any]:
-    """Return the record of `simdesign analyse`."""
+    """Return the record of `simdesign analyse`, with the arguments of `analysis_report`."""
     checks = [check for group in groups for check in group.checks]
     return {
         "schema": SCHEMA,
@@ -573,17 +577,17 @@ def case_record(outcome: DesignOutcome, solution: Solution) -> dict[str, Any]:
 
 
 def write_record(path: Path, record: dict[str, Any]) -> Path:
-    """Write JSON that any reader accepts: NaN is null, infinity the text "inf". Raises FileError."""
+    """Write a record as standard JSON: NaN as null, infinity as the text "inf". Return the path. Raises FileError."""
     return write_whole(path, json.dumps(plain_record(record), indent=1, allow_nan=False) + "\n")
 
 
 def plain_record(value: Any) -> Any:
-    """Return a value as `write_record` writes it and `json` reads it back."""
+    """Return a value as `json` reads it back from a file of `write_record`."""
     if isinstance(value, dict):
         return {key: plain_record(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [plain_record(item) for item in value]
-    if isinstance(value, float):  # NumPy's float64 is one, too
+    if isinstance(value, float):  # includes NumPy's float64
         return None if math.isnan(value) else float(value) if math.isfinite(value) else "inf" if value > 0 else "-inf"
     if hasattr(value, "item"):
         return plain_record(value.item())

@@ -1,4 +1,4 @@
-"""The subcommand `simdesign CASE`: optimise a case, judge the design, write and draw it.
+"""The subcommand `simdesign CASE`: optimise a case, judge the design, and write and draw it.
 
 --orders adds the paper's filters and gain schedules: its Fig. 9, and the designs of Figs 7, 8, 11 to 14.
 """
@@ -65,9 +65,9 @@ RECORD_NAME, PAGE_NAME = "design.json", "design.html"
 
 @dataclass(frozen=True)
 class Made:
-    """The result of a case: the exit code, the design in its folder, and the outcome.
+    """The result of a case: the exit code, the folder of the design, and the design with its outcome.
 
-    `orders` are those of --orders, of each stage, else none.
+    `orders` contains the results of --orders for each stage, and is empty without this option.
     """
 
     code: Exit
@@ -88,7 +88,7 @@ def make(
     orders: bool = False,
     trials: bool = True,
 ) -> Made:
-    """Optimise the case, write and print the result.
+    """Optimise a case, write its files and print the result.
 
     The arguments are the options of `simdesign optimise`. Raises ScenarioError and FileError.
     """
@@ -119,7 +119,7 @@ def make(
         try:
             if orders:
                 for stage in each_stage(loaded):
-                    order_cases(stage)  # an option that the law does not have is rejected before the search
+                    order_cases(stage)  # reject an option that the law does not have before the search
             made = design_case(loaded, shown, ready)  # Ctrl-C ends it with the best so far
         except ValidationError as error:
             said = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
@@ -138,7 +138,7 @@ def make(
         except KeyboardInterrupt:  # the design itself is complete
             solved, interrupted = [], True
         results = made.results
-        with Interruption() as interruption:  # the result is written, whatever key is pressed now
+        with Interruption() as interruption:  # write the result even if Ctrl-C is pressed now
             forget_pictures(folder)
             files, verdict, written = _write(folder, made, solved), _verdict(made, folder), list[Path]()
             if page and not made.interrupted:
@@ -166,7 +166,7 @@ def make(
 
 
 def _with_trials(made: CaseDesign, progress: Progress, stop: Interruption) -> tuple[CaseDesign, bool]:
-    """Return the design with trials from each infeasible stage, and True if they were interrupted."""
+    """Return the design with trials for each infeasible stage, and True if the trials were interrupted."""
     results, cut = [], False
     for stage, (outcome, solution) in zip(made.stages, made.results, strict=True):
         name = stage_name(stage.scenario.vehicle, _number(outcome))
@@ -178,18 +178,18 @@ def _with_trials(made: CaseDesign, progress: Progress, stop: Interruption) -> tu
 
         if not cut:
             trials, cut = tried(stage, solution, show)
-            solution = replace(solution, trials=trials)  # noqa: PLW2901  # the same with trials
+            solution = replace(solution, trials=trials)  # noqa: PLW2901  # the same solution with trials
         results.append((outcome, solution))
     return replace(made, results=tuple(results)), cut
 
 
 def _number(outcome: DesignOutcome) -> int:
-    """Return the number of the stage, from 0."""
+    """Return the index of the stage."""
     return outcome.judged[0].node.stage
 
 
 def _verdict(made: CaseDesign, folder: Path) -> str:
-    """Return the last line, after the command that flies the design, which has a line of its own."""
+    """Return the last line, preceded by the command that flies the design if this is feasible."""
     results, loaded = made.results, made.results[0][0].loaded
     if made.interrupted:
         return f"INTERRUPTED: the best so far is kept; {made.claim}"
@@ -325,7 +325,7 @@ def _draw(
 
 
 def _along(loaded: LoadedCase, nodes: Sequence[Node]) -> list[Node]:
-    """Return operating points every half second between the first and the last, for curves over time."""
+    """Return operating points about every half second from the first node to the last, for curves over time."""
     case, first, last = loaded.case, nodes[0].time_s, nodes[-1].time_s
     count = max(1, round(2.0 * (last - first)))
     return _nodes(loaded, [first + (last - first) * k / count for k in range(count + 1)], case.plane)
@@ -336,16 +336,18 @@ def _nodes(loaded: LoadedCase, times_s: Sequence[float], plane: Plane) -> list[N
     return operating_points.nodes(loaded.along, times_s, plane=plane, errata=case.errata, plant=case.plant)
 
 
-# the paper's filters and gain schedules
+# The paper's filters and gain schedules
 
 STRUCTURES = tuple(name for name, sections in KNOWN.items() if sum(sections))
 SCHEDULES = {"two-phase": "two-phase", "linear": "Subcase 1", "free": "Subcase 2"}
 FoundDesigns = Mapping[tuple[str, str], tuple[LoadedCase, Solution]]
-"""The results by structure and schedule."""
+"""The cases and their solutions by structure and schedule."""
 
 
 def order_cases(stage: LoadedCase) -> dict[tuple[str, str], LoadedCase]:
-    """Return the fifteen cases of a stage. Raises ValidationError if its law has no such gains."""
+    """Return the cases of a stage with each structure and schedule. Raises ValidationError if its law has no such
+    gains.
+    """
     case, out = stage.case, {}
     for structure, schedule in product(STRUCTURES, SCHEDULES):
         asked = {"structure": structure, "prewarp_hz": case.filter.prewarp_hz, "bounds": case.filter.bounds}
@@ -359,9 +361,10 @@ def order_cases(stage: LoadedCase) -> dict[tuple[str, str], LoadedCase]:
 def solve_orders(
     cases: Mapping[tuple[str, str], LoadedCase], plants: Plants, watch: Callable[[int, int], None]
 ) -> FoundDesigns:
-    """Solve fifteen problems, on all cores.
+    """Solve the cases of all structures and schedules on all cores.
 
-    Each also starts from the solutions that it contains, so that more freedom is never worse.
+    Each search also starts from the solutions of the simpler cases that it contains, so that more freedom is never
+    worse. `watch` receives the number of solved cases and their total.
     """
     contained = {
         (f, s): [c for c in ((_before(STRUCTURES, f), s), (f, _before(tuple(SCHEDULES), s))) if c in cases]
@@ -386,13 +389,13 @@ def solve_orders(
     return {key: (loaded, found[key]) for key, loaded in cases.items()}
 
 
-_orders: tuple[Mapping[tuple[str, str], LoadedCase], Plants]  # of a process that solves some of them
+_orders: tuple[Mapping[tuple[str, str], LoadedCase], Plants]  # cases of a pool process
 
 
 def _begin_orders(cases: Mapping[tuple[str, str], LoadedCase], plants: Plants) -> None:
     global _orders  # noqa: PLW0603  # the state of a pool process, set once at its start
     _orders = cases, plants
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the command ends the others
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends the signal to all; the command ends the pool
 
 
 def _solve_order(key: tuple[str, str], contained: Sequence[DesignedLaw]) -> Solution:
@@ -401,12 +404,12 @@ def _solve_order(key: tuple[str, str], contained: Sequence[DesignedLaw]) -> Solu
 
 
 def _before(names: Sequence[str], name: str) -> str:
-    """Return the name before this one, or "" for the first."""
+    """Return the preceding name, or "" for the first name."""
     return ("", *names)[names.index(name)]
 
 
 def order_designs(orders: Sequence[FoundDesigns]) -> Iterator[tuple[str, str, Design, list[Solution]]]:
-    """Return the structure, schedule, design and solution of each stage, if every stage meets its limits with them."""
+    """Yield each structure and schedule with which every stage meets its limits, with the design and its solutions."""
     for structure, schedule in orders[0] if orders else ():
         solutions = [found[structure, schedule][1] for found in orders]
         if all(solution.feasible for solution in solutions):
@@ -414,7 +417,7 @@ def order_designs(orders: Sequence[FoundDesigns]) -> Iterator[tuple[str, str, De
 
 
 def orders_table(found: FoundDesigns) -> list[str]:
-    """Return the objective of each, in dB."""
+    """Return a table of the objective (dB) by structure and schedule."""
     rows = [("filter", *SCHEDULES.values(), "gained", "further")]
     for structure in STRUCTURES:
         peaks = [_peak(found[structure, schedule][1]) for schedule in SCHEDULES]
@@ -424,7 +427,7 @@ def orders_table(found: FoundDesigns) -> list[str]:
 
 
 def orders_record(found: FoundDesigns) -> list[dict[str, object]]:
-    """Return the record for design.json."""
+    """Return the record of --orders for design.json."""
     return [
         {
             "structure": structure,
@@ -441,7 +444,7 @@ def orders_record(found: FoundDesigns) -> list[dict[str, object]]:
 
 
 def order_folder(folder: Path, structure: str, schedule: str) -> Path:
-    """Return the folder in which the design of a filter and a schedule is written."""
+    """Return the folder for the design of a structure and a schedule."""
     return folder / f"{structure}-{schedule}"
 
 

@@ -10,11 +10,13 @@ from maxq.design.optimise.solution import ActiveBound, Constraint, Solution
 from maxq.design.optimise.way_out import conflict
 from maxq.tools.cli.terminal import aligned
 
-POINTS = 3  # of a limit, in a table
+POINTS = 3  # most operating points of a limit in a table
 
 
 def way_out_table(solution: Solution) -> list[str]:
-    """Return the limits that conflict, the variables at their bounds, and the trials, of an infeasible design."""
+    """Return the limits in conflict, the variables at their bounds, and the trials of an infeasible design, as
+    lines.
+    """
     found = conflict(solution)
     if not found and not solution.trials:
         return []
@@ -35,7 +37,7 @@ def way_out_table(solution: Solution) -> list[str]:
 
 
 def way_out_comments(solution: Solution) -> list[str]:
-    """Return the same for the head of a design file, a line each."""
+    """Return the conflict, bounds and trials as lines for the head of a design file."""
     found = conflict(solution)
     parts = ", ".join(f"{each.name} {each.gains_db:.2f}" for each in found)
     lines = [f"in conflict at {solution.violation_db:.3g} dB (dB gained by a dB of relief): {parts}"] if found else []
@@ -44,13 +46,13 @@ def way_out_comments(solution: Solution) -> list[str]:
 
 
 def trials_text(solution: Solution) -> str:
-    """Return the results of the trials in a clause, or "" without trials."""
+    """Return the results of the trials as a clause, or "" without trials."""
     said = _trials(solution)
     return f"short trials from there: {'; '.join(said)}" if said else ""
 
 
 def way_out_record(solution: Solution) -> dict[str, Any]:
-    """Return the conflict and trials for design.json."""
+    """Return the record of the conflict and the trials for design.json."""
     limits = [
         {
             "limit": each.name,
@@ -71,11 +73,11 @@ def _trials(solution: Solution, settings: bool = False) -> list[str]:
 
 
 def _dearest(solution: Solution) -> list[ActiveBound]:
-    """Return the bounds at which variables are, the most expensive first."""
+    """Return the active bounds of variables in decreasing order of their price."""
     return sorted(solution.bounds, key=lambda bound: -bound.price_db)
 
 
 def _at(points: tuple[Constraint, ...]) -> str:
-    """Return the operating points at which a limit is active, with their parts, the largest first."""
+    """Return the operating points at which a limit is active, with their parts, as given (the largest first)."""
     said = [f"{c.plant or 'filter'} ({c.multiplier:.2f})" for c in points[:POINTS]]
     return ", ".join(said) + (f" and {len(points) - POINTS} more" if len(points) > POINTS else "")

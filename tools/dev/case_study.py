@@ -1,8 +1,8 @@
 """The tables of docs/case-study/, made by the shipped commands: `python -m maxq.tools.dev.case_study [TABLE...]`.
 
-The module runs simdesign, simrun and simverify, keeps their results under runs/case-study and uses existing results. It
-writes each table between its marks in docs/case-study. All tables take about two hours on two cores, most of it for
-campaigns and verdicts. `--pictures` copies the pictures that simdesign draws into docs/pictures/case-study.
+The module runs simdesign, simrun and simverify, stores their results under runs/case-study, and uses existing results.
+It writes each table between its marks in docs/case-study. All tables take about two hours on two cores, most of them
+for campaigns and verdicts. `--pictures` copies the pictures of simdesign into docs/pictures/case-study.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ ROBUST = (
     "ksr3-robust-ascent",
 )  # with one sign for both tanks and one for all modes, and with independent signs
 STRUCTURES, SCHEDULES = ("F2", "F3", "F4", "F5", "F6"), ("two-phase", "linear", "free")
-SHOWN = ("F2", "F4", "F6")  # in tables with a row for each structure and schedule
+SHOWN = ("F2", "F4", "F6")  # structures in tables with a row for each structure and schedule
 LIMITS, PLANTS = ("identical", "relaxed"), {"flown": "the reconstructed vehicle", "table2": "the plant of Table 2"}
-CLAIMS = ("3 to 5 dB on the two-phase design", "a further 0.33 to 0.57 dB")  # of Subcases 1 and 2, by the paper
-RELAXED_BY = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0)  # of the way from 0.5 Hz and 0.7 to 0.4 Hz and 0.55
+CLAIMS = ("3 to 5 dB on the two-phase design", "a further 0.33 to 0.57 dB")  # the paper's claims on Subcases 1 and 2
+RELAXED_BY = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0)  # shares of the way from 0.5 Hz and 0.7 to 0.4 Hz and 0.55
 _LOAD, _ACTUATOR = "vehicle.stage.0.tvc_load={frequency_hz=15.6, damping_ratio=0.042}", "vehicle.stage.0.actuator."
 ON_COMPLIANCE: dict[str, tuple[str, ...]] = {
     "following": (),
@@ -73,12 +73,15 @@ TextRows = Sequence[Sequence[str]]
 
 
 def kept(file: str, command: str, *arguments: str, folder: str = "") -> Any:
-    """Return the JSON that a command writes into its folder under RUNS. The command is run if the file is missing."""
+    """Return the JSON that a command writes into its folder under RUNS. Run the command if the file is missing.
+
+    Raises SystemExit if the command does not write the file.
+    """
     path = RUNS / file
     if not path.exists():
         line = [command, *arguments, "--out", str(RUNS / folder if folder else path.parent)]
         print(" ".join(line), file=sys.stderr)
-        records = os.environ | {"MAXQ_LEDGER": str(RUNS / "attempts")}  # not the user's
+        records = os.environ | {"MAXQ_LEDGER": str(RUNS / "attempts")}  # not those of the user
         program = Path(sys.executable).with_name(command)
         done = subprocess.run([program, *line[1:]], check=False, stdout=subprocess.PIPE, env=records)
         if not path.exists():
@@ -91,7 +94,7 @@ def set_(changes: Iterable[str]) -> list[str]:
 
 
 def table(head: Sequence[str], rows: TextRows) -> list[str]:
-    """Return a Markdown table. Columns of numbers are aligned to the right."""
+    """Return a Markdown table as lines. Columns of numbers are aligned to the right."""
     numeric = [all(re.match(r"[-+]?\d|$", row[k]) for row in rows) for k in range(len(head))]
     rule = "|" + "".join("---:|" if n else "---|" for n in numeric)
     return ["| " + " | ".join(head) + " |", rule, *("| " + " | ".join(row) + " |" for row in rows)]
@@ -101,7 +104,7 @@ def table(head: Sequence[str], rows: TextRows) -> list[str]:
 
 
 def solve_optima() -> None:
-    """Solve the sixty problems and write docs/case-study.json, the source of the tables."""
+    """Solve the sixty problems and write docs/case-study.json, the source of several tables."""
     every = []
     for plant, name in itertools.product(PLANTS, LIMITS):
         arguments = [f"ksr3-{name}", "--orders", "--plots", *set_([f"plant={plant}"])]
@@ -118,7 +121,7 @@ def orders(plant: str, limits: str) -> Mapping[tuple[str, str], Any]:
 
 
 def peak(optimum: Any) -> float:
-    """Return the objective, dB, or NaN if limits are missed."""
+    """Return the objective of an optimum, dB, or NaN if limits are missed."""
     return float(optimum["objective_db"]) if optimum["status"] == "optimal" else math.nan
 
 
@@ -129,7 +132,7 @@ def gained(plant: str, limits: str) -> tuple[list[float], list[float]]:
 
 
 def peaks() -> list[str]:
-    """Return the optima of the reconstructed vehicle; `claims` contains the ranges of both plants."""
+    """Return the tables of the optima for the reconstructed vehicle."""
     lines = []
     for plant, limits in itertools.product(("flown",), LIMITS):
         found, rows = orders(plant, limits), []
@@ -163,8 +166,9 @@ def claims() -> list[str]:
 
 
 def between() -> list[str]:
-    """Return the least margins of the optima between their eleven operating points, and the cost of imposing the limits
-    there.
+    """Return a table of the optima's least margins between their eleven operating points.
+
+    Its last columns are the peak with limits imposed between the points, and the cost of this.
     """
     folder, at_nodes, rows = RUNS / "optima-flown-identical", orders("flown", "identical"), []
     kept(f"{folder.name}/design.json", "simdesign", "ksr3-identical", "--orders", "--plots", *set_(["plant=flown"]))
@@ -193,7 +197,9 @@ def between() -> list[str]:
 
 
 def parameters() -> list[str]:
-    """Return the gains at the first and last node, and the filter, of the optima with identical limits."""
+    """Return a table of the optima with identical limits: the gains at the first and last operating point, and the
+    filter.
+    """
     rows = []
     for (structure, schedule), o in orders("flown", "identical").items():
         if structure not in SHOWN:
@@ -210,7 +216,9 @@ def parameters() -> list[str]:
 
 
 def relaxing() -> list[str]:
-    """Return the gain of Subcase 1 over the two-phase design of 0.5 Hz and 0.7 for lower rigid-body limits."""
+    """Return a table of the gain of Subcase 1, with relaxed rigid-body limits, over the two-phase design without
+    relaxation.
+    """
     reference, rows = orders("flown", "identical"), []
     for share in RELAXED_BY:
         hz, zeta = 0.5 - 0.1 * share, 0.7 - 0.15 * share
@@ -225,7 +233,7 @@ def relaxing() -> list[str]:
 
 
 def limits() -> list[str]:
-    """Return the two sets of limits."""
+    """Return a table of the two sets of limits."""
     cases = [read_case(f"ksr3-{name}").case for name in LIMITS]
     names = {
         "gain_margin_db": "GM_R (44), dB",
@@ -246,7 +254,7 @@ def limits() -> list[str]:
 
 
 def robust() -> list[str]:
-    """Return the worst margins on the sampled loop: nominal, and at forty random corners of all ranges."""
+    """Return a table of the worst margins of the sampled loop: nominal, and at forty random corners of all ranges."""
     nodes, rows = operating_points.nodes("nominal", range(5, 60, 5)), []
     ranges = Ranges(_ranges(), Robust().corner_sigmas)
     ends = np.random.default_rng(2002).choice([-1, 1], (40, len(deviations_of(ranges.campaign, nodes[0]).places)))
@@ -264,8 +272,9 @@ def robust() -> list[str]:
 
 
 def vehicles() -> list[str]:
-    """Measure 10,000 vehicles of the standard suite at seven operating points, pitch, and the worst one within three
-    sigma together.
+    """Return a table of the random vehicles of the standard suite at seven operating points in pitch.
+
+    Its last column is the worst vehicle found within three sigma of all deviations together.
     """
     wanted, nodes = _margins_wanted(), operating_points.nodes("nominal", (0.3, 10.0, 20.0, 35.0, 45.0, 53.5, 58.0))
     rows, share, flown = [], 1.0 - wanted.success, load_campaign("campaigns/ksr3")
@@ -289,7 +298,9 @@ def vehicles() -> list[str]:
 
 
 def corners() -> list[str]:
-    """Return the least |1 + L| at the worst corners that a search finds for either design."""
+    """Return a table of the least |1 + L| of both robust designs at the worst corners that a search finds for
+    either.
+    """
     designs, rows = [load_design(f"designs/{name}") for name in ROBUST], []
     for node in operating_points.nodes("nominal", (0.3, 35.0, 45.0, 58.0)):
         cells = [f"{w:.3f}" for w in (worst([node], design)[2] for design in designs)]
@@ -305,7 +316,7 @@ def corners() -> list[str]:
 
 @functools.cache
 def _ranges() -> LoadedCampaign:
-    """Return the deviations of a robust case of KSR-III."""
+    """Return the campaign of deviations of a robust case of KSR-III."""
     return campaign_of(Robust(), load_scenario("nominal"))
 
 
@@ -316,15 +327,15 @@ def _margins_wanted() -> LinearMargins:
 
 
 def tvc_load() -> list[str]:
-    """Return the worst margins of both planes with the engine following its actuators and on a compliance.
+    """Return a table of the worst margins in both planes, with the engine following its actuators and on a compliance.
 
-    Adds the number of random vehicles (pitch) that miss a dispersed limit of the standard suite.
+    It includes the number of random vehicles, in pitch, that miss a dispersed limit of the standard suite.
     """
     wanted = _margins_wanted().model_copy(update={"cases": ON_LOAD})
     times = (0.4, 3.0, *range(5, 60, 5), 58.0)
     plants = []
     for set_to in ON_COMPLIANCE.values():
-        loaded = load_scenario("load-relief", (*set_to, "design='designs/ksr3-robust.toml'"))  # nominal's flight
+        loaded = load_scenario("load-relief", (*set_to, "design='designs/ksr3-robust.toml'"))  # the flight of nominal
         deviating = campaign_of(wanted.three_sigma, loaded)
         pitch, yaw = operating_points.nodes(loaded, times), operating_points.nodes(loaded, times, plane="yaw")
         plants.append((pitch, yaw, deviating))
@@ -334,7 +345,7 @@ def tvc_load() -> list[str]:
         assert design is not None
         for pitch, yaw, deviating in plants:
             row += [f"{w:.{digits}f}" for w, digits in zip(worst([*pitch, *yaw], design), (2, 1, 3), strict=True)]
-            if design.law == "load-relief":  # two sensors: a hundred times slower
+            if design.law == "load-relief":  # with two sensors, a hundred times slower
                 row.append("-")
                 continue
             random = study(pitch, design, wanted, deviating, PartsOnDisk(None)).random
@@ -345,7 +356,7 @@ def tvc_load() -> list[str]:
 
 
 def worst(nodes: Sequence[Node], design: Design) -> tuple[float, float, float]:
-    """Return the gain margin, dB, phase margin, deg, and least |1 + L|, or NaN if an operating point is unstable."""
+    """Return the least gain margin (dB), phase margin (deg) and |1 + L|, or NaN if an operating point is unstable."""
     judged = judge(nodes, design, "sampled")
     if not all(j.margins.stable for j in judged):
         return math.nan, math.nan, math.nan
@@ -357,7 +368,7 @@ def worst(nodes: Sequence[Node], design: Design) -> tuple[float, float, float]:
 
 
 def flights() -> list[str]:
-    """Fly each design through the nominal ascent, without wind and through a November jet."""
+    """Return a table of the nominal ascent with each design, without wind and in a November jet."""
     shown = {
         "max_q_alpha_Padeg": ("q alpha, kPa deg", 1e-3, 1),
         "max_attitude_error_deg": ("attitude error, deg", 1.0, 2),
@@ -377,7 +388,7 @@ def flights() -> list[str]:
 
 
 def campaigns() -> list[str]:
-    """Return the requirements of both designs in moderate turbulence and gust."""
+    """Return a table of the requirements of both compared designs in a campaign with turbulence and gusts."""
     flown = []
     for design in COMPARED:
         changes = set_([f"design=designs/{design}.toml", "campaign.keep=[]"])
@@ -403,16 +414,16 @@ def campaigns() -> list[str]:
 
 
 def judged() -> dict[str, dict[str, Any]]:
-    """Return verdict.json of both robust designs by the standard suite, whose risk they share."""
+    """Return verdict.json of both robust designs for the standard suite. They share its risk."""
     first = kept(f"verdicts/{ROBUST[0]}/verdict.json", "simverify", *ROBUST, "--no-pack", folder="verdicts")
     return {ROBUST[0]: first, **{name: kept(f"verdicts/{name}/verdict.json", "simverify") for name in ROBUST[1:]}}
 
 
 def verdicts() -> list[str]:
-    """Return every requirement that a design does not meet; yaw only if it differs."""
+    """Return a table of every requirement that a design does not meet; yaw is listed only if it differs from pitch."""
     every = judged()
     of_each = [v["requirements"] for v in every.values()]
-    by_name = [{r["name"]: r for r in reversed(of)} for of in of_each]  # of both planes pitch
+    by_name = [{r["name"]: r for r in reversed(of)} for of in of_each]  # pitch, if both planes have the requirement
     mark = {"accepted": "", "rejected": " ✗", "undecided": " ?"}
     rows = [("**verdict**", "", *(f"**{v['verdict'].upper()}**" for v in every.values()))]
     counts = ((sum(r["verdict"] == "accepted" for r in of), len(of)) for of in of_each)
@@ -486,14 +497,13 @@ def _copy(drawn: Path, target: Path) -> None:
 
 
 def page_of(name: str) -> Path:
-    """Return the page with the place of a table."""
+    """Return the page that contains the marks of a table."""
     return next(page for page in PAGES.glob("*.md") if f"<!-- begin {name} -->" in page.read_text(encoding="utf-8"))
 
 
 def fill(page: str, name: str, lines: Sequence[str]) -> str:
-    """Return the page with `lines` between `<!-- begin name -->` and `<!-- end name -->`.
-
-    Raises ValueError without marks.
+    """Return the page with `lines` between `<!-- begin name -->` and `<!-- end name -->`. Raises ValueError without
+    marks.
     """
     filled, count = re.subn(
         rf"(<!-- begin {name} -->\n).*?(<!-- end {name} -->)",

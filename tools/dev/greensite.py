@@ -30,7 +30,7 @@ HEAD = (
 
 
 def measured(design: Design) -> tuple[JudgedLoop, Sequence[InWind]]:
-    """Return the loop of a design at the point of the built-in case, and its rms in the wind of the case."""
+    """Return the loop of a design at the point of the built-in case, and its rms responses to the wind of the case."""
     loaded = read_case("greensite")
     assert loaded.points is not None
     nodes = [loaded.points.point(t) for t in loaded.case.times_s]
@@ -38,7 +38,7 @@ def measured(design: Design) -> tuple[JudgedLoop, Sequence[InWind]]:
 
 
 def row(name: str, design: Design) -> str:
-    """Return the row of a design."""
+    """Return the row of the table for a design."""
     loop, wind = measured(design)
     m = loop.margins
     load, drift = (float(np.max(one.rms)) for one in wind)
@@ -50,7 +50,7 @@ def row(name: str, design: Design) -> str:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Write the table; with --search, the design of the case before."""
+    """Write the table. With --search, first optimise the case and write its design."""
     if "--search" in arguments:
         outcome, _ = points.designed_at_points(read_case("greensite"))
         text = design_text(outcome.design, ["Written by `python -m maxq.tools.dev.greensite --search`."])

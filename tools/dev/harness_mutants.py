@@ -1,5 +1,5 @@
-"""The faults of the harness that mutations.py plants by name: (file, text with the tokens to replace in «», new,
-description).
+"""The faults of the harness that mutations.py plants by name: file, text with the tokens to replace in «», replacement,
+and description.
 
 python -m maxq.tools.dev.mutations plant --work DIR --number 0 --named, then map and run
 """

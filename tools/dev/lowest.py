@@ -1,6 +1,6 @@
 """Print the lowest version of each requirement in pyproject.toml, as constraints for pip: `make test-lowest`.
 
-A bound is true if pip can install all of these versions together, and the tests pass with them.
+A lower bound is correct if pip can install all of these versions together, and the tests pass with them.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ EXTRAS = ("dask",)
 
 
 def lowest_versions(pyproject: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Return the name and lowest version of each requirement of the package and its build.
+    """Yield the name and the lowest version of each requirement of the package and its build.
 
-    Raises ValueError without one.
+    Raises ValueError for a requirement without a lower bound.
     """
     project = pyproject["project"]
     extras = [line for extra in EXTRAS for line in project["optional-dependencies"][extra]]
@@ -33,7 +33,7 @@ def lowest_versions(pyproject: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def main() -> int:
-    """Print the constraints."""
+    """Print the constraints. Return the exit code."""
     pyproject = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
     print("\n".join(f"{name}=={version}" for name, version in lowest_versions(pyproject)))
     return 0

@@ -1,22 +1,22 @@
-"""A mutation test of the quick tests: does one of them fail when one token of the source is changed?
+"""A mutation test of the quick tests: does a test fail when a token of the source is changed?
 
-    python -m maxq.tools.dev.mutations plant --work DIR     draw mutants, plant all of them in a copy of the tree
-    python -m maxq.tools.dev.mutations map --work DIR       mutants that each quick test reaches, and its time
-    python -m maxq.tools.dev.mutations run --work DIR       run the tests that reach each mutant until one fails
-    python -m maxq.tools.dev.mutations table --work DIR     write counts and survivors into docs/verification.md
+    python -m maxq.tools.dev.mutations plant --work DIR     # draw mutants, plant all of them in a copy of the tree
+    python -m maxq.tools.dev.mutations map --work DIR       # mutants that each quick test reaches, and its time
+    python -m maxq.tools.dev.mutations run --work DIR       # run the tests that reach each mutant until one fails
+    python -m maxq.tools.dev.mutations table --work DIR     # write counts and survivors into docs/verification.md
 
 One copy of the tree contains all mutants, each with its original statement: `if at(7): changed else: original`. A file
 that all processes map into their memory selects the active mutant and records the mutants reached. Compiled kernels
-read it, too, so no mutant needs a compilation. Each mutant is tested in a forked process, compiled, as in `.ci/run`.
-Values computed on import are not affected by the fork and need a new pytest process.
+read this file too, so that no mutant requires a compilation. Each mutant is tested in a forked process with compiled
+kernels, as in `.ci/run`. Values computed on import are not affected by the fork and require a new pytest process.
 
 A mutant is killed by the first test that fails, or by a test that takes more than a minute and ten times its usual
 time. `--named` adds the faults of harness_mutants.py. Mutants in DIR/results.jsonl are not run again, except with
 `--only`. `map` and `run` use the present tests of the tree of this script.
 
-Not drawn: documentation, annotations, imports, messages of exceptions, f-strings, decorators, and tolerances (powers of
-ten below 1e-3), where a change is equivalent or no fault of the model. Equality is added to a comparison or removed
-only with integers, because measured quantities are never equal.
+Documentation, annotations, imports, messages of exceptions, f-strings, decorators and tolerances (powers of ten below
+1e-3) are not mutated, because such a change is equivalent or no fault of the model. Equality is added to a comparison
+or removed only for integers, because measured quantities are never equal.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ from _pytest.runner import runtestprotocol
 from maxq.tools.dev.harness_mutants import NAMED
 
 ROOT = Path(__file__).resolve().parents[2]
-PIPE = "\\|"  # within a cell of a table
+PIPE = "\\|"  # a bar within a cell of a table
 PAGE = ROOT / "docs/verification.md"
 REASONS = Path(__file__).with_name("surviving_mutants.json")
 PACKAGES = {
@@ -107,8 +107,8 @@ NAMES = {
     "sinh": "cosh",
     "cosh": "sinh",
 }
-FIRST = "tests/test_regression_nominal.py"  # of those that reach a mutant: the strongest for its time
-MOST = 511  # mutants of one copy
+FIRST = "tests/test_regression_nominal.py"  # the first of the tests that reach a mutant: the strongest for its time
+MOST = 511  # most mutants of a copy
 SWITCH = f'''
 """Which mutant holds, and which have been got to: eight bytes each, at one address in every process."""
 import ctypes
@@ -158,14 +158,14 @@ class Mutant:
     old: str
     new: str
     source: str
-    """The original line."""
+    """The line of the original source."""
 
 
-# --- what is changed
+# --- the tokens that are changed
 
 
 def _sites(source: str) -> Iterator[tuple[int, int, str, tuple[str, ...]]]:
-    """Yield (line, column, token, replacements) of the tokens that may be changed."""
+    """Yield the line, column, token and replacements of each token that may be changed."""
     tree = ast.parse(source)
     tokens = {t.start: t.string for t in tokenize.generate_tokens(io.StringIO(source).readline) if t.string.strip()}
     found: list[tuple[int, int, str, tuple[str, ...]]] = []
@@ -240,7 +240,9 @@ def _other_number(value: float) -> tuple[str, ...]:
 
 
 def drawn(number: int, seed: int) -> list[Mutant]:
-    """Return equal numbers from every package, with each site and each of its replacements equally probable."""
+    """Return mutants in equal numbers from every package, with equal probabilities for sites and for their
+    replacements.
+    """
     chance, out = random.Random(seed), list[Mutant]()
     for package, folders in PACKAGES.items():
         files = sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
@@ -253,7 +255,7 @@ def drawn(number: int, seed: int) -> list[Mutant]:
 
 
 def named(first: int) -> list[Mutant]:
-    """Return the faults of harness_mutants.py."""
+    """Return the faults of harness_mutants.py as mutants, numbered from `first`."""
     out = list[Mutant]()
     for file, text, new, what in NAMED:
         before, old, after = re.split("[«»]", text)
@@ -266,9 +268,9 @@ def named(first: int) -> list[Mutant]:
 
 
 def found_again(mutants: list[dict[str, Any]], first: int) -> list[Mutant]:
-    """Return mutants of an earlier tree at the present position of their line.
+    """Return mutants of an earlier tree at the present positions of their lines.
 
-    Those without their line are omitted and reported.
+    Mutants whose line is missing are omitted and reported.
     """
     out = list[Mutant]()
     for m in mutants:
@@ -286,7 +288,7 @@ def found_again(mutants: list[dict[str, Any]], first: int) -> list[Mutant]:
     return out
 
 
-# --- the copy that holds them all
+# --- the copy that contains all mutants
 
 
 def _changed(source: str, mutant: Mutant) -> str:
@@ -303,16 +305,16 @@ SIMPLE = (ast.Assign, ast.AugAssign, ast.AnnAssign, ast.Return, ast.Expr, ast.Br
 
 
 def _place(node: Any, at: tuple[int, int], inside: bool = False) -> SourcePlace:
-    """Return the path from a node to the part that is duplicated around a token: a simple statement of a function, else
-    an expression.
+    """Return the path from a node to the part that is duplicated around a token.
 
-    The path is empty if the token is not below the node.
+    The part is a simple statement of a function, else an expression. The path is empty if the token is not below the
+    node.
     """
     for name, value in ast.iter_fields(node):
         within = inside or (isinstance(node, ast.FunctionDef) and name == "body")
         for index, child in enumerate(value) if isinstance(value, list) else [(None, value)]:
             here: SourcePlace = (name,) if index is None else (name, index)
-            begin = (child.lineno, child.col_offset) if hasattr(child, "lineno") else at  # arguments have no place
+            begin = (child.lineno, child.col_offset) if hasattr(child, "lineno") else at  # `arguments` has no position
             if not isinstance(child, ast.AST) or not (begin <= at and (begin is at or at < _end(child))):
                 continue
             if isinstance(child, ast.expr) or (within and isinstance(child, SIMPLE)):
@@ -330,13 +332,13 @@ def _at(tree: Any, way: SourcePlace) -> Any:
 
 
 def planted(source: str, mutants: list[Mutant]) -> str:
-    """Return the module with all its mutants."""
+    """Return the source of a module with all its mutants."""
     original, groups = ast.parse(source), dict[SourcePlace, list[tuple[int, Any]]]()
     for mutant in mutants:
         way = _place(original, (mutant.line, mutant.column))
         groups.setdefault(way, []).append((mutant.number, _at(ast.parse(_changed(source, mutant)), way)))
     tree = copy.deepcopy(original)
-    for way, changes in sorted(groups.items(), key=lambda item: -len(item[0])):  # inner parts come first
+    for way, changes in sorted(groups.items(), key=lambda item: -len(item[0])):  # inner parts first
         node = _at(tree, way)
         for number, new in changes:
             here = ast.Call(ast.Name("_mutant_at", ast.Load()), [ast.Constant(number)], [])
@@ -372,21 +374,21 @@ def plant(work: Path, mutants: list[Mutant], refused: set[int]) -> None:
     (work / "mutants.json").write_text(json.dumps([asdict(m) for m in mutants], indent=0))
 
 
-# --- in a process that has imported everything
+# --- in a process with all imports
 
 Map = dict[str, tuple[float, list[int]]]
-"""The seconds and the mutants reached, by test that passes."""
+"""The time (s) and the mutants reached of each test that passes."""
 
 
 class _Server:
-    """A replacement of pytest's loop, within pytest."""
+    """A plugin of pytest that replaces its loop over the tests."""
 
     def __init__(self, work: Path, mutants: list[Mutant], do: str, budget_s: float) -> None:
         self.work, self.mutants, self.do, self.budget_s = work, mutants, do, budget_s
         self.flags = mmap.mmap(os.open(os.environ["MAXQ_MUTANTS"], os.O_RDWR), 8 * (MOST + 1))
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
-        if self.do == "map":  # a process for each file, so that none uses data that another left in memory
+        if self.do == "map":  # a process for each file, so that none uses data that another has left in memory
             for _, group in itertools.groupby(session.items, key=lambda item: _file_of(item.nodeid)):
                 self._forked(partial(self._measure, list(group)), self.work / "map.jsonl")
             return True
@@ -405,11 +407,14 @@ class _Server:
         return True
 
     def _forked(self, do: Any, path: Path | None = None) -> str:
-        """Return the output of `do` in a forked process, appended to `path` if given."""
+        """Call `do` in a forked process with a file open for writing, and return the text of this file.
+
+        The file is `path`, to which text is appended, or a temporary file.
+        """
         if path is None:
             path = self.work / f"answer-{os.getpid()}"
             path.write_text("")
-        shutil.rmtree(Path(os.environ["MAXQ_CACHE"]) / "verified", ignore_errors=True)  # answers of another mutant
+        shutil.rmtree(Path(os.environ["MAXQ_CACHE"]) / "verified", ignore_errors=True)  # results of another mutant
         child = os.fork()
         if child == 0:
             os.setsid()
@@ -435,7 +440,7 @@ class _Server:
 
     def _meet(self, tests: list[pytest.Item], known: Map, out: Any) -> None:
         for item, after in zip(tests, [*tests[1:], None], strict=False):
-            signal.setitimer(signal.ITIMER_REAL, 60.0 + 10.0 * known[item.nodeid][0])  # then the process ends
+            signal.setitimer(signal.ITIMER_REAL, 60.0 + 10.0 * known[item.nodeid][0])  # the signal ends the process
             out.write(item.nodeid + "\n")
             bad = [r for r in runtestprotocol(item, nextitem=after, log=False) if r.failed]
             if bad:
@@ -451,8 +456,10 @@ def read_map(work: Path) -> Map:
 
 
 def _tests_for(number: int, known: Map, budget_s: float) -> list[str]:
-    """Return the tests by file: those that reach the mutant, then the rest, which may use results of a fixture."""
-    seconds = dict[str, float]()  # of the tests that reach it, by file
+    """Return the tests for a mutant by file: those that reach it, and the others of their files, which may share a
+    fixture.
+    """
+    seconds = dict[str, float]()  # time of the tests that reach it, by file
     for name, (took, got_to) in known.items():
         if number in got_to:
             seconds[_file_of(name)] = seconds.get(_file_of(name), 0.0) + took
@@ -469,10 +476,10 @@ def _file_of(name: str) -> str:
 
 
 def table(done: list[dict[str, Any]]) -> None:
-    """Write the counts by package, and a line for each survivor that is not equivalent, of drawn and of named mutants.
+    """Write tables of counts by package and of survivors, for drawn and for named mutants.
 
-    REASONS explains survivors; one is equivalent if its reason begins with this word. Mutants whose line is "gone"
-    (deleted since they were drawn) are not counted.
+    REASONS explains survivors. A reason that begins with "equivalent" marks an equivalent mutant, which is not listed.
+    Mutants whose line is gone, deleted since they were drawn, are not counted.
     """
     text, said = PAGE.read_text(), json.loads(REASONS.read_text())
     for name, packages in (("mutants", [*PACKAGES, "all"]), ("named", ["by name"])):
@@ -482,7 +489,7 @@ def table(done: list[dict[str, Any]]) -> None:
         begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
         before, rest = text.split(begin)
         _, after = rest.split(end)
-        rows = list[tuple[str, str, str]]()  # package, mutant, and reason of its survival; "" if it was killed
+        rows = list[tuple[str, str, str]]()  # package, mutant, and the reason for its survival, "" if it was killed
         for r in sorted(mine, key=lambda r: r["number"]):
             key = f"{r['file']}: `{r['source'].replace('|', PIPE)}`, `{r['old']}` -> `{r['new'] or ' '}`"
             rows.append((r["package"], key, "" if r["status"] == "killed" else said.get(key, "open")))
@@ -511,7 +518,7 @@ def main() -> None:
     parser.add_argument("--named", action="store_true", help="of `plant`: the faults of harness_mutants.py as well")
     parser.add_argument("--also", type=Path, help="of `plant`: mutants of an earlier mutants.json too")
     parser.add_argument("--refused", default="", help="of `plant`: numbers of those that Numba refuses to compile")
-    parser.add_argument("--only", help="numbers of mutants, with commas; run again whatever results.jsonl says")
+    parser.add_argument("--only", help="comma-separated numbers of mutants, run again even if in results.jsonl")
     parser.add_argument("--budget", type=float, default=1e9, help="seconds of tests for a mutant, as mapped")
     given = parser.parse_intermixed_args()
     work = given.work.resolve()
@@ -529,7 +536,7 @@ def main() -> None:
     if given.do == "table":
         table(list(done.values()))
         return
-    if "MAXQ_MUTANTS" not in os.environ:  # once more, with the planted sources
+    if "MAXQ_MUTANTS" not in os.environ:  # start again with the planted sources
         (work / "switch").write_bytes(bytes(8 * (MOST + 1)))
         (work / "cache").mkdir(mode=0o700, exist_ok=True)
         places = {"MAXQ_MUTANTS": work / "switch", "PYTHONPATH": work / "python", "MAXQ_CACHE": work / "cache"}

@@ -1,8 +1,8 @@
-"""Check what a program can check of the project's English: `python -m maxq.tools.dev.prose`, part of `make lint`.
+"""Check the project's English by program: `python -m maxq.tools.dev.prose`, part of `make lint`.
 
-prose.toml, next to this file, records the number of findings of each kind, the banned phrases and allowed texts. The
-check fails if a number differs from its record, or if the documentation has more than MOST_WORDS words. `--record`
-writes lower numbers, and never a higher one; `--list KIND` prints places.
+prose.toml, next to this file, contains the recorded number of findings of each kind, the banned phrases and the allowed
+texts. The check fails if a number differs from its record, or if the documentation has more than MOST_WORDS words.
+`--record` only lowers recorded numbers; `--list KIND` prints the findings of a kind.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from typing import Any
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 RECORD = Path(__file__).with_suffix(".toml")
-LONGEST_SUBJECT = 72  # characters of a commit's subject
+LONGEST_SUBJECT = 72  # characters of the subject of a commit
 LONGEST_SENTENCE = 30  # words
 MOST_WORDS = 55_000  # of the documentation
 _FIRST_WORDS = {"What", "Whether", "Where", "How", "Of", "One", "Behind"}
 _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-_HISTORY = "CHANGELOG.md"  # lists former names and behaviour
-# Parts of Markdown that are no prose: front matter, fenced and indented blocks, formulas, comments, code, link targets.
+_HISTORY = "CHANGELOG.md"  # contains former names and behaviour
+# The parts of Markdown that are not prose: front matter, fenced and indented blocks, formulas, comments, link targets.
 _NOT_PROSE = re.compile(r"(?ms)\A---\n.*?^---$|^ *(```|~~~|:::).*?^ *\1 *$|^ {4}[^\n]*$|\$\$.*?\$\$|<!--.*?-->")
 _FROM_CODE = re.compile(r"(?s)<!-- from code:.*?<!-- end of code -->")  # help texts and tables of keys
 _COMMENT = re.compile(r"(?:^\s*|  )# (.*)")
-_STATED = re.compile(r"#|^(?:description|why|source) *=")  # lines of TOML files with prose
+_STATED = re.compile(r"#|^(?:description|why|source) *=")  # lines of TOML files that contain prose
 _MARKUP = re.compile(r"(?s)\{#.*?#\}|\{%.*?%\}|\{\{.*?\}\}|<[^>\n]*>")
 _INLINE = re.compile(r"(?s)`+[^`]*`+|\$[^$\n]+\$|(?<=\])\([^)]*\)|<[^>\n]*>|https?://\S+")
 _SENTENCE_END = re.compile(r"(?<=[.!?:])\s+(?=[\"'(*]*[A-Z0-9`])|\n\s*\n|\n\s*(?=[-*|#>]|\d+\. )")
@@ -41,7 +41,7 @@ _SENTENCE_END = re.compile(r"(?<=[.!?:])\s+(?=[\"'(*]*[A-Z0-9`])|\n\s*\n|\n\s*(?
 
 @dataclass(frozen=True)
 class Finding:
-    """A place that breaks a rule."""
+    """A text that breaks a rule, and its place."""
 
     place: str
     text: str
@@ -49,7 +49,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Passage:
-    """A piece of prose, its place, and a flag for text that consists of sentences."""
+    """A piece of prose, its place, and True in `in_sentences` if it consists of sentences."""
 
     place: str
     words: str
@@ -58,8 +58,8 @@ class Passage:
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """The files of the repository: its Markdown pages, its Python files with their syntax trees, and its TOML files and
-    templates of pages.
+    """The files of the repository: Markdown pages, Python files with their syntax trees, TOML files and page
+    templates.
     """
 
     pages: dict[str, str]
@@ -105,7 +105,9 @@ def strings(sources: Sources) -> tuple[tuple[str, str, bool], ...]:
 
 
 def comments(source: str) -> Iterator[tuple[int, str]]:
-    """Yield line and text of every comment, which the formatter puts on its own line or two spaces behind code."""
+    """Yield the line and text of every comment. The formatter puts comments on their own lines or two spaces after
+    code.
+    """
     for number, line in enumerate(source.splitlines(), 1):
         if "#" in line and (found := _COMMENT.search(line)):
             yield number, found[1]
@@ -113,8 +115,9 @@ def comments(source: str) -> Iterator[tuple[int, str]]:
 
 @cache
 def texts(sources: Sources) -> tuple[Passage, ...]:
-    """Return the prose of pages, docstrings, comments, messages (strings of at least three words outside tests), TOML
-    files and templates.
+    """Return the prose of pages, docstrings, comments, messages, TOML files and templates.
+
+    Messages are strings of at least three words outside tests.
     """
     return tuple(_texts(sources))
 
@@ -143,14 +146,14 @@ def _texts(sources: Sources) -> Iterator[Passage]:
 
 
 def first_words(sources: Sources) -> Iterator[Finding]:
-    """Find the docstrings that begin with a word such as What or Whether in place of a verb."""
+    """Yield the docstrings that begin with a word such as What or Whether in place of a verb."""
     for place, text, documents in strings(sources):
         if documents and text.split()[0].strip(",.:;") in _FIRST_WORDS:
             yield Finding(place, text.splitlines()[0])
 
 
 def banned_phrases(sources: Sources) -> Iterator[Finding]:
-    """Find the phrases that the record bans, except in the texts that it allows with a reason."""
+    """Yield the phrases that the record bans, except in the texts that it allows with a reason."""
     record = tomllib.loads(RECORD.read_text(encoding="utf-8"))
     pattern = re.compile(r"\b(?:" + "|".join(record["banned"]) + r")\b", re.IGNORECASE)
     names = re.compile("|".join(re.escape(each["text"]) for each in record["allowed"]))
@@ -161,7 +164,7 @@ def banned_phrases(sources: Sources) -> Iterator[Finding]:
 
 
 def sentences(sources: Sources) -> Iterator[tuple[str, str]]:
-    """Yield place and words of every sentence in pages and docstrings."""
+    """Yield the place and the words of every sentence in pages and docstrings."""
     for text in texts(sources):
         if text.in_sentences:
             for sentence in _SENTENCE_END.split(text.words):
@@ -170,14 +173,16 @@ def sentences(sources: Sources) -> Iterator[tuple[str, str]]:
 
 
 def long_sentences(sources: Sources) -> Iterator[Finding]:
-    """Find the sentences with more than LONGEST_SENTENCE words."""
+    """Yield the sentences with more than LONGEST_SENTENCE words."""
     for place, sentence in sentences(sources):
         if len(re.findall(r"[^\W\d_][\w'-]*", sentence)) > LONGEST_SENTENCE:
             yield Finding(place, sentence)
 
 
 def type_names(sources: Sources) -> Iterator[Finding]:
-    """Find the names of classes and aliases that mean more than one type. Aliases with equal definitions are one."""
+    """Yield the names of classes and aliases that have more than one meaning. Aliases with equal definitions are one
+    type.
+    """
     places: dict[str, dict[str, str]] = defaultdict(dict)  # place of each definition of a name
     for module, (_, tree) in sources.modules.items():
         if not module.startswith(("tests/", "docs/", "examples/")):
@@ -194,7 +199,7 @@ def type_names(sources: Sources) -> Iterator[Finding]:
 
 
 def unformatted(sources: Sources) -> Iterator[Finding]:
-    """Find the places that the formatter skips."""
+    """Yield the places that the formatter skips."""
     for name, (source, _) in sources.modules.items():
         for line, comment in comments(source):
             if re.match(r"fmt: (skip|off)", comment):
@@ -202,7 +207,7 @@ def unformatted(sources: Sources) -> Iterator[Finding]:
 
 
 def long_subjects(sources: Sources) -> Iterator[Finding]:
-    """Find the commits whose subject has more than LONGEST_SUBJECT characters; none where there is no history."""
+    """Yield the commits whose subject has more than LONGEST_SUBJECT characters; none without a history."""
     del sources
     log = subprocess.run(["git", "log", "--format=%h %s"], cwd=REPOSITORY, capture_output=True, text=True, check=False)
     for line in log.stdout.splitlines():
@@ -222,7 +227,9 @@ CHECKS: dict[str, Callable[[Sources], Iterator[Finding]]] = {
 
 
 def documentation_words(pages: dict[str, str]) -> int:
-    """Return the number of words of README.md and docs/, with tables and code, without the reference from the code."""
+    """Return the number of words of README.md and docs/, with tables and code, without the reference made from the
+    code.
+    """
     shown = (
         _FROM_CODE.sub("", page)
         for name, page in pages.items()
@@ -232,7 +239,7 @@ def documentation_words(pages: dict[str, str]) -> int:
 
 
 def complaints(found: dict[str, list[Finding]], recorded: dict[str, int]) -> list[str]:
-    """Return a line for each kind whose number of findings is not that of the record."""
+    """Return a line for each kind whose number of findings differs from its record."""
     lines = []
     for kind, findings in found.items():
         number, before = len(findings), recorded[kind]
@@ -244,7 +251,7 @@ def complaints(found: dict[str, list[Finding]], recorded: dict[str, int]) -> lis
 
 
 def lower(record: str, found: dict[str, list[Finding]], recorded: dict[str, int]) -> str:
-    """Return the text of the record with the numbers that are lower now."""
+    """Return the text of the record, with each number that has decreased."""
     for kind, findings in found.items():
         if len(findings) < recorded[kind]:
             record = re.sub(rf"(?m)^{kind} = \d+", f"{kind} = {len(findings)}", record)
@@ -252,7 +259,7 @@ def lower(record: str, found: dict[str, list[Finding]], recorded: dict[str, int]
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Compare the findings with the record, print them, or lower the record."""
+    """Compare the findings with the record, list the findings of a kind, or lower the record. Return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m maxq.tools.dev.prose", description="Check the project's English.")
     parser.add_argument(
         "--list", choices=CHECKS, metavar="KIND", help=f"print every finding of one of {', '.join(CHECKS)}"

@@ -1,10 +1,10 @@
-"""HTML pages of the commands: Jinja templates (*.html.j2, next to this module) with one skeleton and one style sheet.
+"""The HTML pages of the commands: Jinja templates (*.html.j2, next to this module) with one skeleton and style sheet.
 
     text = render("review.html.j2", plots=[Plot(...)], found=found)
 
 A page is one self-contained file. All text that a template prints is escaped. Templates extend `skeleton.html.j2`
 (blocks `title` and `body`) and share the macros of `elements.html.j2`: `table`, `plot` (a figure that `plots.js`
-draws), `title_block`.
+draws), and `title_block`.
 """
 
 from __future__ import annotations
@@ -26,15 +26,16 @@ from maxq.tools.plots.figures import Plot, as_json
 
 
 def render(template: str, plots: Sequence[Plot] = (), **values: Any) -> str:
-    """Return the page. A name that a template uses must be among `values`, or `plots`, or `date` (by default today).
+    """Return the page that a template makes of `values` and `plots`.
 
-    Headings, figures and tables with a caption are numbered. The headings are listed at the mark <!-- contents --> of a
-    template. The first row of a table of heads is its head, which a print repeats on each page. Heads are those of
-    their columns unless the template states their scope.
+    `values` must contain all names that the template uses, except `plots` and `date` (by default today). Headings,
+    figures and captioned tables are numbered, and the headings are listed at the mark <!-- contents -->. A first row of
+    heads becomes the head of its table, which a print repeats on each page. A head applies to its column unless the
+    template states its scope.
     """
     given: dict[str, Any] = {"date": datetime.date.today().isoformat(), "plots": plots, "figures": "", "script": ""}
     if plots:
-        given |= {"figures": Markup(as_json(plots)), "script": Markup(_file("plots.js"))}  # our own; escaped
+        given |= {"figures": Markup(as_json(plots)), "script": Markup(_file("plots.js"))}  # our own text, escaped
     page = _environment().get_template(template).render(given | values)
     names = re.findall(r"<h2>(.*?)</h2>", page)
     page = _numbered(page, r"<h2>(.*?)</h2>", lambda n, name: f'<h2 id="s{n}">{n} {name}</h2>')
@@ -74,19 +75,19 @@ def _environment() -> Environment:
 
 
 def number(value: float | None, form: str = ".4g") -> str:
-    """Return a number in that format, or "" for a missing, NaN or infinite value."""
+    """Return a number in a format, or "" if it is missing, NaN or infinite."""
     return "" if value is None or not math.isfinite(value) else format(value, form)
 
 
 def _in_css(text: Any) -> Markup:
-    """Return a string for a style sheet, with all characters but letters and digits as their numbers."""
-    plain = Markup(text).unescape() if isinstance(text, Markup) else str(text)  # it is markup already
+    """Return a string for a style sheet, in which every character except letters and digits is replaced by its code."""
+    plain = Markup(text).unescape() if isinstance(text, Markup) else str(text)  # already markup
     coded = "".join(c if c.isascii() and c.isalnum() else f"\\{ord(c):x} " for c in " ".join(plain.split()))
     return Markup(coded)  # letters, digits, backslashes and spaces
 
 
 def _signs(value: Any) -> Any:
-    """Return the comparison signs as they are printed, never separated from their number."""
+    """Return a text with printed comparison signs that are never separated from their number."""
     if not isinstance(value, str) or isinstance(value, Markup):
         return value
     return value.replace("<= ", "≤\u00a0").replace(">= ", "≥\u00a0")

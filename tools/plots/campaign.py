@@ -1,6 +1,6 @@
-"""Figures of a campaign: histograms with limits, tails, envelopes over time, sensitivities.
+"""The figures of a campaign: histograms with limits, tails, envelopes over time, and sensitivities.
 
-None means that there is nothing to show.
+A function returns None if there is nothing to show.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from maxq.tools.plots.figures import Panel, Plot, Series, at, band, limit, line,
 JudgedDrivers = Sequence[tuple[Judged, Sequence[Driver]]]
 
 _MOST_POINTS = 4000
-_LIMITED = {  # channel: the metric whose limits apply to it
+_LIMITED = {  # the metric whose limits apply to each channel
     "alpha_total_deg": "max_alpha_deg",
     "dynamic_pressure_Pa": "max_dynamic_pressure_Pa",
     "mach": "max_mach",
@@ -45,12 +45,12 @@ _LIMITED = {  # channel: the metric whose limits apply to it
 
 
 def replay(folder: Path, run: int | str) -> str:
-    """Return the command that flies a run again."""
+    """Return the command that flies a run again. `folder` is that of the campaign."""
     return f"simrun refly {shlex.quote(str(folder))} --run {run}"
 
 
 def unseen_text(tails: Sequence[tuple[Judged, Tail]]) -> str:
-    """Return the limitation of all estimates from runs: mechanisms that may occur in none of them."""
+    """Return a sentence on the limitation of all estimates from runs: mechanisms that may occur in none of them."""
     most = max((tail.unseen for _, tail in tails if not tail.problem), default=math.nan)
     return f"A mechanism in up to {100.0 * most:.2g} % of flights may occur in no run and is then not in the estimate"
 
@@ -67,7 +67,12 @@ def plots(
     labels: dict[str, str],
     prefix: str = "",
 ) -> list[Plot]:
-    """Return all figures that exist. `prefix` precedes the names if a page has several campaigns."""
+    """Return all figures of a campaign that have content.
+
+    `tails` are fitted to the `verdicts`. `over_time` contains the envelopes, and `units` the units of their channels.
+    `found` contains the drivers of each verdict, computed on `sample` with `inputs`, whose names are `labels`. `prefix`
+    precedes the names of the figures if a page has several campaigns.
+    """
     campaign = data.campaign.campaign
     quantile = f"{100 * campaign.success:g} % quantile at {100 * campaign.confidence:g} % confidence"
     fitted = [(v, tail) for v, tail in tails if not tail.problem]
@@ -127,7 +132,7 @@ def plots(
 
 
 def named(name: str, unit: str) -> str:
-    """Return a name for a metric or channel, whose key ends with its unit."""
+    """Return a readable name with its unit for a metric or channel, whose key ends with the unit."""
     plain = title_of(name)
     if plain == name:
         plain = (name if unit == "1" else name.rpartition("_")[0]).replace("_", " ")
@@ -136,12 +141,12 @@ def named(name: str, unit: str) -> str:
 
 
 def missed(values: Array, v: Judged) -> NDArray[np.bool_]:
-    """Return True for values that miss the requirement. A value at the limit meets it."""
+    """Return an array that is True for values that miss the requirement. A value at the limit meets it."""
     return np.asarray(~(values <= v.bound) if v.kind == "limit" else ~(values >= v.bound))
 
 
 def _shown(v: Judged) -> tuple[Judged, float]:
-    """Return a verdict with limit and bounds in the engineering unit, and the factor to that unit."""
+    """Return the verdict in its engineering unit, and the factor to this unit."""
     unit, factor = v.unit_factor
     scaled = {name: factor * getattr(v, name) for name in ("bound", "median", "quantile", "tolerance")}
     return replace(v, unit=unit, **scaled), factor
@@ -152,9 +157,9 @@ def _limit_text(v: Judged) -> str:
 
 
 def _histogram(data: DataSet, v: Judged) -> Panel | None:
-    """Return the histogram of a metric, or None if all runs have one value, or without runs.
+    """Return the histogram of a metric, or None if there are no runs or all have one value.
 
-    A distant limit is stated in the title, so that it does not compress the bars.
+    The title states a distant limit, which would compress the bars.
     """
     v, factor = _shown(v)
     values, runs = factor * data.numbers(v.metric)[~data.void], data.runs[~data.void]
@@ -174,7 +179,10 @@ def _histogram(data: DataSet, v: Judged) -> Panel | None:
 
 
 def bars(values: Array, runs: NDArray[np.int64], v: Judged) -> Series:
-    """Return the counts, with separate counts of those that miss the limit. `runs` names the worst run of each bar."""
+    """Return a histogram with separate counts of the values that miss the limit.
+
+    `runs` contains the number of the run of each value. The worst run of each bar is stored.
+    """
     edges = np.histogram_bin_edges(values, bins=min(max(round(math.sqrt(len(values))), 10), 40))
     place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
     order = np.argsort(values if v.kind == "limit" else -values)
@@ -208,7 +216,7 @@ def _tail(v: Judged, tail: Tail) -> Panel:
 
 
 def _envelope(each: Band, unit: str, verdicts: Sequence[Judged]) -> Panel:
-    """Return the middle line, bands between the percentiles on either side of it, and the limits on the channel."""
+    """Return the median, bands between pairs of percentiles, and the limits on the channel."""
     order = np.argsort(each.percentiles)
     unit, factor = engineering_unit(unit, float(np.nanmax(np.abs(each.lines))))
     lines, shares = factor * each.lines[order], np.array(each.percentiles)[order]
@@ -292,13 +300,13 @@ _UNITS = {
 
 
 def _plain(name: str, labels: dict[str, str]) -> str:
-    """Return an input's own label, or that of the wind at an altitude."""
+    """Return the label of an input, or that of the wind at an altitude."""
     wind = re.fullmatch(r"wind\.profile\.(\w+)_mps\[(\S+) m\]", name)
     return labels.get(name, f"wind, {wind[1]} component at {wind[2]} m" if wind else name)
 
 
 def _input(name: str, labels: dict[str, str]) -> str:
-    """Return a label for an input, with the unit at the end of its key. A factor is labelled as one."""
+    """Return the label of an input with its unit, which ends its key. A factor is labelled as a factor."""
     unit = _UNITS.get(name.partition("[")[0].rpartition("_")[2], "")
     text = _plain(name, labels)
     if re.search(r"factor(\.\d+)?$", name) and "factor" not in text:

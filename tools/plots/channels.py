@@ -16,10 +16,10 @@ _MOST_POINTS = 4000
 
 
 def channel_plot(of: Tabular, names: Sequence[str] = ()) -> Figure:
-    """Draw channels over the same time in a panel for each unit, with the events of the flight as dotted lines.
+    """Draw channels over a common time axis, with a panel for each unit and the events of the flight as dotted lines.
 
-    `names` are channels or topics. Without names, the key channels of a flight are drawn. Raises KeyError for an
-    unknown name.
+    `names` are channels or topics; by default, they are the key channels of a flight. Raises KeyError for an unknown
+    name.
     """
     names = of.channels_in(names) or [name for name in _KEY if name in of.table]
     units: dict[str, list[str]] = {}

@@ -1,5 +1,6 @@
-"""The figures of the pages as data. In the reader's browser, tools/pages/plots.js draws them. A figure thus fits the
-width of the page, is readable in the dark mode, shows its values, and is available as data.
+"""The figures of the pages as data, which tools/pages/plots.js draws in the browser of the reader.
+
+A figure therefore fits the width of the page, is readable in dark mode, shows its values, and can be exported.
 
     figure = Plot("margins", "Margins over the flight", [Panel("phase margin", [line(t, y)], x="time, s", y="deg")])
     as_json([figure])          # for the page
@@ -29,8 +30,8 @@ Series = dict[str, Any]
 class Panel:
     """A panel of a figure.
 
-    `x` and `y` are labels with units. Ranges of None are those of the data. `rows` means bars along x, one below
-    another.
+    `x` and `y` are labels with units. An end of a range that is None is that of the data. If `rows` is True, the panel
+    contains horizontal bars, one below the other.
     """
 
     title: str
@@ -48,14 +49,14 @@ class Panel:
     height: int = 0  # in pixels; 0: that of the figure
     equal: bool = False  # to scale: a unit has the same length along x and y
     rows: bool = False
-    unit: str = ""  # of the bars
+    unit: str = ""  # unit of the bars
 
 
 @dataclass
 class Plot:
-    """A figure of several panels. `command` flies the run whose number replaces {}.
+    """A figure with one or several panels. `command` flies the run whose number replaces {}.
 
-    `loops` are open loops. A slider selects the one that the panels with a `plane` show.
+    `loops` are open loops. A slider selects the loop that is drawn in the panels with a `plane`.
     """
 
     name: str  # letters, digits, hyphens
@@ -63,28 +64,28 @@ class Plot:
     panels: list[Panel]
     caption: str = ""
     columns: int = 2
-    height: int = 190  # of a panel, in pixels
+    height: int = 190  # height of a panel, in pixels
     command: str = field(default="", kw_only=True)
     loops: list[Series] = field(default_factory=list, kw_only=True)
     split: int = field(default=0, kw_only=True)  # panels of the first column, if ordered in columns; 0: in rows
 
 
 def look(number: int) -> Series:
-    """Return the colour and dashes of the curve of that number."""
+    """Return the colour and dashes of curve `number`."""
     return {"colour": COLOURS[number % len(COLOURS)], "dash": DASHES[number % len(DASHES)]}
 
 
 def line(x: Any, y: Any, name: str = "", **more: Any) -> Series:
-    """Return a curve, with a gap if a value is not finite.
+    """Return a curve, with gaps at values that are not finite.
 
-    `mark` is "o", "x" or "+" at each point. `faint` is True for a curve whose values are not shown. `who` is the text
-    under the pointer, if not the name.
+    `mark` is "o", "x" or "+" at each point. The values of a `faint` curve are not shown. `who` is the text under the
+    pointer, by default the name.
     """
     return {"kind": "line", "colour": "blue", "name": name, "x": x, "y": y} | more
 
 
 def points(x: Any, y: Any, name: str = "", **more: Any) -> Series:
-    """Return marks alone. `runs` contains the number of each, and `labels` the names that are written next to them."""
+    """Return marks without a curve. `runs` contains the run of each mark, and `labels` the texts next to them."""
     return {"kind": "points", "colour": "blue", "name": name, "x": x, "y": y} | more
 
 
@@ -93,33 +94,35 @@ def band(x: Any, low: Any, high: Any, name: str = "", **more: Any) -> Series:
 
 
 def limit(value: float, name: str = "limit", **more: Any) -> Series:
-    """Return a level. `note` is written on it. `seen` extends the axis to it."""
+    """Return a horizontal level. `note` is written on it. If `seen` is True, the axis extends to it."""
     return {"kind": "limit", "colour": "limit", "name": name, "value": value, "seen": True} | more
 
 
 def at(value: float, name: str = "", **more: Any) -> Series:
-    """Return a vertical level."""
+    """Return a vertical line."""
     return {"kind": "at", "colour": "limit", "name": name, "value": value} | more
 
 
 def loop(hz: Any, level_db: Any, phase_deg: Any, name: str, marks: Sequence[Series] = (), **more: Any) -> Series:
-    """Return an open loop L over frequency, with its phase without jumps, drawn in the `plane` of its panel.
+    """Return an open loop L over frequency (Hz), with its level (dB) and unwrapped phase (deg).
 
-    `marks` are points with `x`, `y`, `y2` as those of the loop, `what` ("lobe", "gain", "phase", "least") and `name`. A
-    loop among a figure's `loops` also has `group` and `at`, by which a reader selects it, its `text`, and `limits`,
-    series by plane.
+    It is drawn in the `plane` of its panel. `marks` are points with `x`, `y`, `y2` like those of the loop, `what`
+    ("lobe", "gain", "phase", "least") and `name`. A loop among a figure's `loops` also has `group` and `at`, by which a
+    reader selects it, its `text`, and `limits`, which are series by plane.
     """
     return {"kind": "loop", "name": name, "x": hz, "y": level_db, "y2": phase_deg, "marks": list(marks)} | more
 
 
 def shape(outline: Any, name: str = "", **more: Any) -> Series:
-    """Return a closed outline, (n, 2)."""
+    """Return a closed outline from its corners, (n, 2)."""
     corners = np.asarray(outline, float)
     return {"kind": "shape", "colour": "ink", "name": name, "x": corners[:, 0], "y": corners[:, 1]} | more
 
 
 def thinned(x: Any, y: Any, steps: float = 400.0) -> tuple[Any, Any]:
-    """Return a curve without its invisible points: those within 1/steps of both ranges from the last one kept."""
+    """Return a curve without its invisible points: those within 1 / `steps` of both ranges from the previous point
+    kept.
+    """
     px, py = (np.asarray(v, float) for v in (x, y))
     finite = np.isfinite(px) & np.isfinite(py)
     if finite.sum() < 3:
@@ -136,13 +139,13 @@ def thinned(x: Any, y: Any, steps: float = 400.0) -> tuple[Any, Any]:
 
 
 def as_json(plots: Iterable[Plot]) -> str:
-    """Return JSON for a script element. No character in it ends the element."""
+    """Return figures as JSON for a script element. No character of the text can end the element."""
     text = json.dumps([_plain(vars(p) | {"panels": [vars(panel) for panel in p.panels]}) for p in plots])
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
 def _plain(value: Any) -> Any:
-    """Return numbers with six digits, and None for values that are not finite."""
+    """Return a value for JSON: numbers with six digits, and None for numbers that are not finite."""
     if isinstance(value, dict):
         return {key: _plain(v) for key, v in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -155,7 +158,9 @@ def _plain(value: Any) -> Any:
 
 
 def as_csv(plot: Plot) -> str:
-    """Return all data that is drawn. y2 is the far side of a band, or for bars the number that misses the limit."""
+    """Return all drawn data as CSV. y2 is the far side of a band, or for bars the number of values that miss the
+    limit.
+    """
     out = io.StringIO()
     write = csv.writer(out).writerow
     write(("panel", "series", "x", "y", "y2", "run"))

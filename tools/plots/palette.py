@@ -1,7 +1,7 @@
-"""The colours of all pictures, on paper and in the viewer: those of Okabe & Ito, which colour-blind people can
+"""The colours of all pictures, on paper and in the viewer. They are those of Okabe & Ito, which colour-blind people can
 distinguish.
 
-Nothing is imported here, so that the viewer's side does not load Matplotlib.
+This module imports nothing, so that the modules for the viewer do not load Matplotlib.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ ON_LIGHT = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY, BLACK)
 ON_DARK = (SKY, ORANGE, GREEN, PURPLE, YELLOW, RED)
 """The colours of curves on the viewer's dark background."""
 FAILED = (RED, "#a34700", "#ff7733", "#7a3500", "#ff9d6e", "#ffc9ae")
-"""The colours of flights that failed, shown among a few others: shades of one colour, never green."""
+"""The colours of failed flights that are shown among a few others: shades of one colour, never green."""
 LIMIT = RED
 VERDICT = {"passed": GREEN, "failed": RED, "unknown": SKY}
 
 
 def rgba(colour: str, alpha: float = 1.0) -> list[int]:
-    """Return the four bytes of a `#rrggbb`."""
+    """Return the four bytes (red, green, blue, alpha) of a `#rrggbb` colour."""
     return [*bytes.fromhex(colour[1:]), round(255 * alpha)]

@@ -74,7 +74,7 @@ STYLE: Any = {  # newer stubs of Matplotlib expect its keys as literals, older o
     "path.simplify_threshold": 0.1,
 }
 PAGE_IN = 7.0  # width of a page between its margins
-_TITLE_IN = 0.9  # a title, and the names of the axes of the lowest row
+_TITLE_IN = 0.9  # height of a title, and of the axis labels of the lowest row
 FORMATS = ("svg", "png")
 _METADATA = {"svg": {"Date": None, "Creator": "maxq"}, "png": {"Software": "maxq"}}
 _MATHEMATICS: Any = MathTextParser("path")
@@ -83,7 +83,8 @@ _formats: ContextVar[tuple[str, ...]] = ContextVar("formats", default=FORMATS)
 
 @contextmanager
 def drawing(formats: Sequence[str] = FORMATS, settings: Mapping[str, Any] | None = None) -> Iterator[None]:
-    """Draw and save with the style and these formats. A notebook's settings are restored.
+    """Apply the style within the block, where `save` writes these formats. Restore the settings of a notebook
+    afterwards.
 
     `settings` replace or extend those of the style.
     """
@@ -97,7 +98,7 @@ def drawing(formats: Sequence[str] = FORMATS, settings: Mapping[str, Any] | None
 
 
 class _Shown(Figure):
-    """A figure that a notebook displays without pyplot, to which it does not belong."""
+    """A figure without pyplot that a notebook can display."""
 
     def _repr_png_(self) -> bytes:
         return png(self)
@@ -108,8 +109,8 @@ def sheet(
 ) -> tuple[Figure, Any]:
     """Return a figure as wide as a page, with `height_in` per row, and its axes as an array (rows * columns,).
 
-    `more` is passed to `Figure.subplots`. The figure belongs to no window: it need not be closed, and no display is
-    needed.
+    `more` is passed to `Figure.subplots`. The figure belongs to no window, so it need not be closed and needs no
+    display.
     """
     figure = _Shown(figsize=(width_in, height_in * rows + (_TITLE_IN if title else 0.0)))
     if title:
@@ -125,9 +126,9 @@ _FLOATING = "floating"
 def name_point(place: Axes, x: float, y: float, text: str, *, must: bool = True, **look: Any) -> None:
     """Name a point of a curve.
 
-    The position of the name is determined when the figure is finished (`settle`): near the point, over no curve and no
-    other text. Contours, below the curves (`zorder` < 1), do not count. A name without a free position is omitted,
-    unless `must` is True.
+    `settle` later positions the name near the point, such that it covers no curve and no other text. Contours, which
+    are drawn below the curves (`zorder` < 1), may be covered. A name without a free position is omitted, unless `must`
+    is True.
     """
     halo = withStroke(linewidth=1.5, foreground="white")  # over contours
     style: dict[str, Any] = {"fontsize": 6.5, "color": BLACK, "path_effects": [halo]} | look
@@ -147,7 +148,7 @@ def name_point(place: Axes, x: float, y: float, text: str, *, must: bool = True,
 
 
 def settle(figure: Figure) -> None:
-    """Break a title that is wider than the figure, compute the layout and find positions for the names of points."""
+    """Fold a title that is wider than the figure, compute the layout, and position the names of points."""
     _take_as_written(figure)
     title = figure._suptitle  # type: ignore[attr-defined]  # newer releases give access to its text only
     if title is not None and "\n" not in title.get_text():
@@ -205,7 +206,7 @@ def _place_names(place: Axes, renderer: Any) -> None:
 
 
 def dense(line: NDArray[Any]) -> NDArray[Any]:
-    """Return the points of a line at spacings of at most a few pixels."""
+    """Return the points of a line (n, 2), in pixels, with points added at spacings of about three pixels."""
     line = line[np.isfinite(line).all(axis=1)]
     if len(line) < 2:
         return line.reshape(-1, 2)
@@ -216,9 +217,9 @@ def dense(line: NDArray[Any]) -> NDArray[Any]:
 
 
 def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write `stem`.svg and `stem`.png, or the formats of `drawing`.
+    """Write `stem`.svg and `stem`.png, or the formats of `drawing`. Return the paths.
 
-    Each file has a temporary name first, so that it is complete or absent.
+    Each file is first written under a temporary name, so that it is complete or absent.
     """
     settle(figure)
     files = []
@@ -231,7 +232,7 @@ def save(figure: Figure, stem: Path) -> list[Path]:
 
 
 def _take_as_written(figure: Figure) -> None:
-    """Draw texts as they are, since names in files may contain dollar signs that are not mathematics."""
+    """Disable mathematics in texts that are not valid mathematics, since names of files may contain dollar signs."""
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
         if text.get_text().count("$") > 1:
@@ -242,7 +243,7 @@ def _take_as_written(figure: Figure) -> None:
 
 
 def png(figure: Figure, dpi: float | None = None) -> bytes:
-    """Return the picture in memory, with `dpi` pixels per inch (None: that of the style)."""
+    """Return the picture as a PNG file in memory, with `dpi` pixels per inch (None: those of the style)."""
     out = io.BytesIO()
     figure.set_dpi(dpi or figure.dpi)
     settle(figure)
@@ -251,7 +252,7 @@ def png(figure: Figure, dpi: float | None = None) -> bytes:
 
 
 def label(place: Axes, x: str = "", y: str = "", title: str = "") -> None:
-    """Set axis labels and a title. An empty text leaves its label unchanged."""
+    """Set axis labels and a title. An empty text leaves the label unchanged."""
     if x:
         place.set_xlabel(x)
     if y:
@@ -261,11 +262,11 @@ def label(place: Axes, x: str = "", y: str = "", title: str = "") -> None:
 
 
 def plain_numbers(axis: Axis) -> None:
-    """Write 0.1, 1, 10 at a logarithmic axis, as is usual in engineering."""
+    """Label a logarithmic axis with 0.1, 1, 10, as is usual in engineering."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
 
 def curve(number: int) -> dict[str, Any]:
-    """Return the colour and dashes of the curve of that number."""
+    """Return the colour and dashes of curve `number`."""
     return {"color": ON_LIGHT[number % len(ON_LIGHT)], "linestyle": DASHES[number % len(DASHES)]}

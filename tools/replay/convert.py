@@ -1,4 +1,4 @@
-"""The conversion of flights to a recording: all data that the viewer shows, and its layout."""
+"""The conversion of flights to a recording, with all data that the viewer shows, and its layout."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ _CORNERS = {  # right, top
     rrb.Corner2D.RightBottom: (True, False),
     rrb.Corner2D.LeftBottom: (False, False),
 }
-_WHOLE = 0.04  # share of an axis for half a number
-_BEHIND = 0.07  # of the powered flight, visible after it, so that the number at its end is whole
-_LEGEND_LINES = 4  # with more curves than this, a legend covers the curves of several flights
-_LEGEND_MOST = COLOURED = 6  # flights with their own colour and name; more names would cover the plots
+_WHOLE = 0.04  # share of an axis for half the height of a number
+_BEHIND = 0.07  # share of the powered flight shown after it, so that the number at its end is not cut
+_LEGEND_LINES = 4  # curves above which a legend of several flights would cover the curves
+_LEGEND_MOST = COLOURED = 6  # flights with a colour and a name of their own; more names would cover the plots
 _PLOT_PX = 420.0, 730.0  # width of a plot of two columns, and height of all plots of a column, in a picture
-_PHASED = 6  # flights whose phases are shown
-_MOSTLY = 0.9  # share of the time under thrust above which only the whole flight is shown
+_PHASED = 6  # most flights whose phases are shown
+_MOSTLY = 0.9  # share of the time under thrust above which there is no part for it
 
 
 @dataclass(frozen=True)
@@ -52,24 +52,24 @@ class Options:
     slosh_factor: float | None = None
     side_by_side: bool = False
     tab: str | None = None
-    bare: bool = False  # without the viewer's menu, for a picture
-    at: Sequence[float] | None = None  # times of pictures, s: in front are plots of a part of the flight with them
+    bare: bool = False  # True for a picture, which is drawn without the viewer's menu
+    at: Sequence[float] | None = None  # times of pictures, s, which the front plots contain
 
 
 @dataclass(frozen=True)
 class TimeSpan:
-    """A part of the time, and the axes of the plots that suit it. `name` is that of its tab, if there are several."""
+    """A part of the time and the axes of the plots over it. `name` is that of its tab, if there are several."""
 
     name: str
     span_s: tuple[float, float]
     axes: Mapping[str, PlotAxis]
     corners: Mapping[str, rrb.Corner2D] = field(default_factory=dict)
-    """The corner where the legend of a plot hides least, if not at the upper right."""
+    """The corner of each plot in which a legend hides least, if it is not the upper right."""
 
 
 @dataclass(frozen=True)
 class _Drawn:
-    """A flight that was sent to the three-dimensional views."""
+    """A flight whose data has been sent to the three-dimensional views."""
 
     root: str
     flight: ReplayFlight
@@ -79,7 +79,7 @@ class _Drawn:
 
 
 def save(flights: Sequence[ReplayFlight], options: Options, path: Path) -> None:
-    """Write an .rrd file that any viewer of this version opens without further files."""
+    """Write an .rrd file, which any viewer of this version opens without further files."""
     name = ", ".join(flight.label for flight in flights[:3]) + (" ..." if len(flights) > 3 else "")
     recording = rr.RecordingStream(stream.APPLICATION, recording_id=name)
     with recording:
@@ -91,7 +91,7 @@ def save(flights: Sequence[ReplayFlight], options: Options, path: Path) -> None:
 
 
 def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight], options: Options) -> rrb.Blueprint:
-    """Send all data. Return the layout."""
+    """Send all data of the flights, and return the layout."""
     many = len(flights) > 1
     interval_ns = round(1e9 / (options.rate_hz or (MANY_RATE_HZ if len(flights) > FEW else DEFAULT_RATE_HZ)))
     near = closest(flights)
@@ -159,21 +159,27 @@ def send_flights(recording: rr.RecordingStream, flights: Sequence[ReplayFlight],
 
 
 def part_with(parts_s: Sequence[tuple[float, float]], times_s: Sequence[float]) -> int:
-    """Return the number of the first part that contains all times, or that of the last part, the whole flight."""
+    """Return the index of the first part that contains all times, or that of the last part, which is the whole
+    flight.
+    """
     inside = (k for k, (start_s, end_s) in enumerate(parts_s) if all(start_s <= t <= end_s for t in times_s))
     return next(inside, len(parts_s) - 1)
 
 
 def seen_of(part_s: tuple[float, float], span_s: tuple[float, float]) -> tuple[float, float]:
-    """Return the time that a plot of a part shows.
+    """Return the time span that a plot of a part shows.
 
-    It is slightly longer than the part, so that the number at its end is whole.
+    It ends slightly after the part, so that the number at its end is not cut, but not after `span_s`.
     """
     return part_s[0], min(part_s[1] + _BEHIND * (part_s[1] - part_s[0]), span_s[1])
 
 
 def parts_of(flights: Sequence[ReplayFlight], span_s: tuple[float, float]) -> dict[str, tuple[float, float]]:
-    """Return parts of the time by name: the stages, or the powered flight unless that is nearly all, then the whole."""
+    """Return the parts of the flight by name, as time spans (s), with the whole flight last.
+
+    If all flights have the same number of separations, the other parts are the stages. Otherwise, the only other part
+    is the powered flight, and it is omitted if it is nearly the whole flight.
+    """
     whole = {"Whole flight": span_s}
     parted = [[m.time_s for m in f.moments if m.name == "separation"] for f in flights]
     if parted[0] and len({len(times) for times in parted}) == 1:
@@ -198,7 +204,7 @@ def _send_scene(
     *,
     near: bool,
 ) -> _Drawn:
-    """Send the vehicle and trajectory. `colour` is that of one flight among others."""
+    """Send the vehicle and the trajectory of a flight. `colour` identifies one flight among others."""
     place = place_of(flight)
     scenario = flight.scenario if near else None
     shape = shape_of(scenario.vehicle) if scenario is not None else None
@@ -215,7 +221,7 @@ def _send_scene(
 def _pictures(
     recording: rr.RecordingStream, roots: Sequence[str], drawn: Sequence[_Drawn], ex: Exaggeration, side_by_side: bool
 ) -> list[rrb.View | rrb.Container]:
-    """Return the views in three dimensions: vehicles in close-up, and the trajectories from the side."""
+    """Return the three-dimensional views: close-ups of the vehicles, and the trajectories from the side."""
     first = drawn[0]
     positions = np.concatenate([each.path.translation_m for each in drawn])
     reach = float(np.abs(positions[:, :2]).max(initial=0.0))
@@ -238,7 +244,8 @@ def _pictures(
 def colours_of(flights: Sequence[ReplayFlight]) -> list[str]:
     """Return a colour for each of several flights.
 
-    A few flights have separate colours, in shades of red if they failed. Many have that of their verdict.
+    Up to `COLOURED` flights have distinct colours, shades of red if they failed. Otherwise the colour is that of the
+    verdict.
     """
     if len(flights) > COLOURED:
         return [_NOMINAL_COLOUR if flight.is_nominal else VERDICT[flight.verdict] for flight in flights]
@@ -247,7 +254,7 @@ def colours_of(flights: Sequence[ReplayFlight]) -> list[str]:
 
 
 def _roots(flights: Sequence[ReplayFlight]) -> list[str]:
-    """Return a distinct entity root for each flight."""
+    """Return a distinct root of entities for each flight."""
     if len(flights) == 1:
         return ["flight"]
     out: list[str] = []
@@ -258,7 +265,7 @@ def _roots(flights: Sequence[ReplayFlight]) -> list[str]:
 
 
 def common_exaggeration(flights: Sequence[ReplayFlight], options: Options) -> Exaggeration:
-    """Return the factors that suit all of the drawn vehicles, so that they can be compared."""
+    """Return common factors for all of the drawn vehicles, so that they can be compared."""
     each = []
     for flight in flights:
         shape = shape_of(flight.scenario.vehicle) if flight.scenario is not None else None
@@ -269,7 +276,9 @@ def common_exaggeration(flights: Sequence[ReplayFlight], options: Options) -> Ex
 # -- the layout: close-up, overview, plots in tabs, phases, events, and a page about the flight ----------------------
 @dataclass(frozen=True)
 class Eyes:
-    """The positions of the cameras: offset of the close-up from the vehicle, place and aim of the overview, m."""
+    """The positions of the cameras, m: the offset of the close-up from the vehicle, and the place and aim of the
+    overview.
+    """
 
     close: tuple[float, float, float]
     overview: tuple[float, float, float]
@@ -277,7 +286,10 @@ class Eyes:
 
 
 def eyes_for(length_m: float, azimuth_deg: float, positions_m: Array) -> Eyes:
-    """Return cameras that look across the plane of flight, from the right and slightly from above."""
+    """Return cameras that look across the plane of flight, from the right and slightly from above.
+
+    `positions_m` (n, 3) are those to be seen in the overview.
+    """
     a = np.radians(azimuth_deg)
     forward, right = np.array([np.sin(a), np.cos(a), 0.0]), np.array([np.cos(a), -np.sin(a), 0.0])
     close = 1.5 * length_m * (0.93 * right - 0.3 * forward) + np.array([0.0, 0.0, 0.35 * length_m])
@@ -289,9 +301,9 @@ def eyes_for(length_m: float, azimuth_deg: float, positions_m: Array) -> Eyes:
 
 
 def plot_view(plot: ReplayPlot, span: TimeSpan, roots: Sequence[str], legend: bool, rows: int) -> rrb.TimeSeriesView:
-    """Return a plot over a span.
+    """Return the view of a plot over a span.
 
-    The viewer sets the axis if the span has none. `rows` is the number of plots in the window.
+    The viewer chooses the vertical axis if the span has none. `rows` is the number of plots in a column of the window.
     """
     axis = span.axes.get(plot.key)
     beyond = axis.beyond_text("") if axis is not None else ""
@@ -307,13 +319,13 @@ def plot_view(plot: ReplayPlot, span: TimeSpan, roots: Sequence[str], legend: bo
 
 
 def with_scale(low: float, high: float, most: int) -> tuple[float, float]:
-    """Return the range, wide enough for two whole numbers on its axis.
+    """Return the range from `low` to `high`, extended such that its axis shows at least two numbers.
 
-    The viewer writes the multiples of one power of ten: the smallest of which at most `most` fit. It cuts a number that
-    is close to the edge.
+    The viewer writes the multiples of the smallest power of ten of which at most `most` fit. It cuts numbers near the
+    edge.
     """
     step = 10.0 ** math.ceil(math.log10((high - low) / most))
-    edge = 0.04 * step  # a number on the very edge is not written
+    edge = 0.04 * step  # a number exactly at the edge is not written
     while (last := math.floor(high / step)) <= (first := math.ceil(low / step)):
         down, up = (first - 1) * step - edge, (last + 1) * step + edge
         low, high = (low, up) if up - high < low - down else (down, high)
@@ -322,14 +334,17 @@ def with_scale(low: float, high: float, most: int) -> tuple[float, float]:
 
 
 def prefix_of(flight: ReplayFlight, *, many: bool) -> str:
-    """Return the prefix of a curve's name, which identifies one of many flights; an empty text for a single flight."""
+    """Return the prefix of the names of a flight's curves, which identifies it among several, or "" for a single
+    flight.
+    """
     return f"{flight.label}{', FAILED' if flight.verdict == 'failed' else ''}: " if many else ""
 
 
 def legend_of(tab: Tab, plot: ReplayPlot, count: int) -> Literal["curves", "flights", ""]:
-    """Return the contents of a plot's legend for a number of flights: "" without a legend.
+    """Return the content of a plot's legend for `count` flights: its curves, the flights, or "" for no legend.
 
-    A legend of all curves of several flights covers the plot. It then names the flights, whose curves differ in width.
+    A legend of all curves of several flights may cover the plot. It then names the flights, whose curves differ in
+    width.
     """
     most = max(_LEGEND_LINES, count * min(len(p.curves) for p in tab.plots)) if count > 1 else 99
     if count > _LEGEND_MOST:
@@ -340,7 +355,7 @@ def legend_of(tab: Tab, plot: ReplayPlot, count: int) -> Literal["curves", "flig
 
 
 def rows_and_columns(tab: Tab) -> tuple[int, int]:
-    """Return the arrangement of a tab's plots: side by side, they are high enough for numbers at their axes."""
+    """Return the numbers of rows and columns of a tab's plots. Two columns leave height for the numbers at the axes."""
     columns = 2 if len(tab.plots) > 2 else 1
     return -(-len(tab.plots) // columns), columns
 
@@ -353,16 +368,17 @@ def free_corner(
     rows: int,
     by_width: bool = False,
 ) -> rrb.Corner2D:
-    """Return the corner where the legend hides least of the curves. `rows` is the number of plots in a column.
+    """Return the corner of a plot in which its legend hides the fewest points of the curves.
 
-    If the curves differ `by_width`, the legend names each flight once, and the order of the widths.
+    `rows` is the number of plots in a column. If the curves differ `by_width`, the legend contains each flight once,
+    and the order of the widths.
     """
     if by_width:
         names = [prefix_of(f, many=True) for f in flights] + [stream.width_text(plot)]
     else:
         names = [prefix_of(f, many=len(flights) > 1) + c.label for f in flights for c in plot.curves]
     names += [f"limit: {text}" for text in {limit.text for limit in axis.drawn}]
-    wide = min((40.0 + 7.5 * max(map(len, names))) / _PLOT_PX[0], 0.9)  # shares of the plot
+    wide = min((40.0 + 7.5 * max(map(len, names))) / _PLOT_PX[0], 0.9)  # sizes of the legend as shares of the plot
     tall = min((16.0 + 23.0 * len(names)) * rows / _PLOT_PX[1], 0.9)
     inside = dict.fromkeys(_CORNERS, 0.0)
     for flight in flights:
@@ -379,7 +395,7 @@ def free_corner(
 
 
 def time_axis(span_s: tuple[float, float]) -> rrb.archetypes.TimeAxis:
-    """Return a time axis. A `span_s` of no length extends from there to the cursor."""
+    """Return a time axis. If `span_s` has no length, the axis extends from there to the cursor."""
     start, end = (rr.TimeRangeBoundary.absolute(seconds=s) for s in span_s)
     if span_s[1] <= span_s[0]:
         end = rr.TimeRangeBoundary.cursor_relative()
@@ -387,7 +403,7 @@ def time_axis(span_s: tuple[float, float]) -> rrb.archetypes.TimeAxis:
 
 
 def close_view(root: str, eyes: Eyes, name: str) -> rrb.Spatial3DView:
-    """Return a camera that follows one vehicle. The ground moves away below it."""
+    """Return a view from a camera that follows a vehicle, while the ground moves away below it."""
     return rrb.Spatial3DView(
         name=name,
         origin=f"{root}/vehicle",
@@ -399,7 +415,7 @@ def close_view(root: str, eyes: Eyes, name: str) -> rrb.Spatial3DView:
 
 
 def overview(roots: Sequence[str], eyes: Eyes, grid: str) -> rrb.Spatial3DView:
-    """Return a view of the whole trajectory from the side, with a trail along the flown part."""
+    """Return a view of the whole trajectories from the side, with a trail along the part flown so far."""
     contents = ["+ /ground/**", "- /ground/pad/**"]
     for root in roots:
         contents += [f"+ /{root}/{part}" for part in ("path", "trail", "marks", "vehicle/at")]
@@ -419,7 +435,7 @@ def overview(roots: Sequence[str], eyes: Eyes, grid: str) -> rrb.Spatial3DView:
 
 
 def _tab_number(tabs: Sequence[Tab], wanted: str | None) -> int:
-    """Return the number of the front tab. Raises ReplayError for a name that no tab has."""
+    """Return the index of the front tab. Raises ReplayError for a name that no tab has."""
     names = [tab.name.lower() for tab in tabs]
     if wanted is None:
         return 0
@@ -440,10 +456,11 @@ def layout(
     bare: bool = False,
     front: int = 0,
 ) -> rrb.Blueprint:
-    """Return the whole window: `pictures` (close-up, overview) if there are any, plots in tabs, phases, events, a page.
+    """Return the layout of the window: pictures, plots in tabs, phases, current values, events, and a page about the
+    flights.
 
-    `plotted` are the roots of the plotted entities, if they are not those of the flights. `front` is the number of the
-    span whose plots are in front.
+    `pictures` (close-up, overview) may be empty. `plotted` are the roots of the plotted entities, by default those of
+    the flights. `front` is the index of the span whose plots are in front.
     """
     plotted = roots if plotted is None else plotted
 
@@ -487,7 +504,7 @@ def window(
     *,
     bare: bool = False,
 ) -> rrb.Blueprint:
-    """Return a window with this content and only the time around it. `bare` removes the viewer's menu too."""
+    """Return a layout of this content with only the time panel. `bare` also removes the viewer's menu."""
     return rrb.Blueprint(
         *([rrb.TopPanel(state="hidden")] if bare else []),
         content,

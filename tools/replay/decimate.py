@@ -1,7 +1,7 @@
 """Decimation that keeps the extremes: every point kept is a sample of the log, at its own time.
 
-Averaging, or taking every n-th sample, shows an oscillation of 9 Hz too small or at a wrong frequency. Here the
-smallest and the largest sample of each interval are kept, as are the first and the last sample.
+Averages, or every n-th sample, would show an oscillation of 9 Hz too small or at a wrong frequency. Here, the smallest
+and the largest sample of each interval are kept, as well as the first and the last sample.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ KeptRows = NDArray[np.intp]
 
 
 def extremes(times_ns: IntArray, values: Array, interval_ns: int, *, even: bool = False) -> KeptRows:
-    """Return the rising indices of the samples of `values` (n,) to keep: smallest and largest in each interval.
+    """Return the indices, in rising order, of the smallest and largest samples of `values` (n,) in each interval.
 
-    Gaps (nan) remain gaps: an interval without numbers keeps one nan. Samples inside a constant stretch are omitted
-    without loss. With `even`, this applies only if all samples are equal: Rerun merges a fixed number of samples to a
-    pixel, so that a stretch with few of them would be drawn at the value before it.
+    Gaps (NaN) remain gaps: an interval without numbers keeps one NaN. Samples inside a constant stretch are omitted
+    without loss. With `even`, they are omitted only if all samples are equal: Rerun merges a fixed number of samples
+    into a pixel, and would draw a stretch with few samples at the preceding value.
     """
     n = len(values)
     if n < 3:
@@ -43,7 +43,7 @@ def extremes(times_ns: IntArray, values: Array, interval_ns: int, *, even: bool 
 
 
 def _first_of_each(values: Array, starts: KeptRows, extreme: np.ufunc) -> KeptRows:
-    """Return the index at which the extreme of each interval occurs first; `starts` are the intervals' first
+    """Return the index of the first occurrence of the extreme in each interval. `starts` are the intervals' first
     indices.
     """
     gaps = np.isnan(values)
@@ -54,10 +54,10 @@ def _first_of_each(values: Array, starts: KeptRows, extreme: np.ufunc) -> KeptRo
 
 
 def extremes_on_grid(times_ns: IntArray, values: Array, start_ns: int, interval_ns: int, count: int) -> Array:
-    """Return the smallest and largest of `values` (n,) in each of `count` intervals from `start_ns` on, as rows (2
+    """Return the smallest and largest of `values` (n,) in each of `count` intervals from `start_ns` on, as an array (2
     count,).
 
-    The two are in the order of the trend. They are nan if an interval contains no number. Samples outside are omitted.
+    Both are in the order of the trend, and NaN if an interval contains no number. Samples outside the grid are ignored.
     """
     out = np.full((count, 2), np.nan)
     number = (times_ns - start_ns) // interval_ns
@@ -75,23 +75,25 @@ def extremes_on_grid(times_ns: IntArray, values: Array, start_ns: int, interval_
 
 
 def changed(values: Array, tolerance: float) -> KeptRows:
-    """Return the indices of the rows of `values` (n, ...) that differ from the row before by more than rounding to
+    """Return the indices of the rows of `values` (n, ...) that differ from the preceding row after rounding to
     `tolerance`.
+
+    The last row of each constant stretch is included.
     """
     steps = np.round(np.nan_to_num(values.reshape(len(values), -1)) / tolerance)
     if not len(steps):
         return np.zeros(0, np.intp)
     moved = (steps[1:] != steps[:-1]).any(axis=1)
     keep = np.append(True, moved)
-    keep[:-1] |= moved  # the last row of a constant stretch, so that interpolation does not start at its beginning
+    keep[:-1] |= moved  # so that interpolation does not start at the beginning of the constant stretch
     return np.flatnonzero(keep)
 
 
 def every(times_ns: IntArray, period_ns: int, last_period: int = -1) -> KeptRows:
-    """Return the indices of the first row in each period."""
+    """Return the indices of the first row in each period, for periods after `last_period`."""
     return np.flatnonzero(np.diff(times_ns // period_ns, prepend=last_period) > 0)
 
 
 def last_before(times_ns: IntArray, at_ns: IntArray) -> KeptRows:
-    """Return, for each time `at_ns`, the index of the last row at or before it, or 0."""
+    """Return for each time in `at_ns` the index of the last row at or before it, or 0 if there is none."""
     return np.clip(np.searchsorted(times_ns, at_ns, side="right") - 1, 0, None)

@@ -1,8 +1,8 @@
-"""Flights to be shown: their logs, the scenario in each log, and the end of each flight.
+"""The flights to be shown: their logs, the scenario in each log, and the end of each flight.
 
-A log that is cut off or damaged is shown up to its last readable row. If its scenario cannot be read (an older or a
-later maxq), numbers and trajectory are still shown, but no vehicle and no limits. The numbers of many flights exceed
-the memory. Those of the last few are kept, and the others are read again.
+A truncated or damaged log is shown up to its last readable row. If its scenario cannot be read (it is from an older or
+a later maxq), numbers and trajectory are still shown, but neither vehicle nor limits. The numbers of many flights
+exceed the memory, so those of the last few are kept and others are read again.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ from maxq.tools.replay.viewer import ReplayError
 
 KEPT = ("flights", "kept")  # folders of a campaign that contain whole flights
 MOST = 200
-"""The number of flights shown at once. More are illegible in one window, and need much memory."""
+"""The largest number of flights shown at once. More would be illegible in one window, and need much memory."""
 FEW = 4
-"""The number of flights whose vehicles are all drawn."""
+"""The largest number of flights whose vehicles are all drawn."""
 FAR_KM = 20.0
-"""The distance from its site beyond which the start of a flight becomes the origin of its axes."""
+"""The distance from the site beyond which the start of a flight is the origin of its axes."""
 ConversionWatch = Callable[[str, int, int], None]
-"""A function that is called with the activity, the steps done and the total."""
+"""A function that receives the name of the activity, the steps done, and their number."""
 _FAULTS = ("control_lost", "diverged")
 _NEEDED = tuple(f"r_E_{a}_m" for a in "xyz") + tuple(f"q_BI_{c}" for c in "wxyz")
 
 
 class Channels(Protocol):
-    """The columns of a flight by channel name: a log, or a block of a running flight."""
+    """The columns of a flight by channel name: those of a log, or of a block of a running flight."""
 
     @property
     def table(self) -> ChannelTable: ...
@@ -65,7 +65,7 @@ class Channels(Protocol):
 
 @dataclass(frozen=True)
 class Moment:
-    """An event. `name` is as in the log, and `text` is for readers."""
+    """An event of a flight. `name` is that of the log, and `text` is for readers."""
 
     name: str
     time_ns: int
@@ -78,18 +78,18 @@ class Moment:
 
     @property
     def label(self) -> str:
-        """Return the name and time, for a picture."""
+        """Return the name and the time, for a picture."""
         return f"{self.name.replace('_', ' ')} {self.time_s:.1f} s"
 
     @property
     def line(self) -> str:
-        """Return the time and text, for a list."""
+        """Return the time and the text, for a list."""
         return f"{self.time_s:9.3f} s  {self.text}"
 
 
 @dataclass(frozen=True)
 class ShownRequirement:
-    """A requirement of a scenario. `kind` is "limit" or "minimum". Value and verdict are None without a summary."""
+    """A requirement of a scenario. `kind` is "limit" or "minimum". `value` and `met` are None without a summary."""
 
     name: str
     kind: str
@@ -100,17 +100,17 @@ class ShownRequirement:
 
     @property
     def utilisation(self) -> float:
-        """Return the used share of the limit, or nan without one."""
+        """Return the utilisation of the limit as a share, or NaN without a value."""
         return math.nan if self.value is None else utilisation(self.value, self.kind, self.bound)
 
     @property
     def shown(self) -> tuple[str, str, str]:
-        """Return the value, limit and their engineering unit, as text."""
+        """Return the value, the limit and their engineering unit as texts."""
         return against_limit(math.nan if self.value is None else self.value, self.kind, self.bound, self.unit)
 
 
 def tightest_first(requirements: Iterable[ShownRequirement]) -> list[ShownRequirement]:
-    """Return requirements in order: missed ones, then those with the least margin to their limits."""
+    """Return the missed requirements, then the others, each in decreasing order of utilisation."""
     return sorted(requirements, key=lambda r: by_utilisation(r.met is not False, r.utilisation))
 
 
@@ -118,8 +118,8 @@ def tightest_first(requirements: Iterable[ShownRequirement]) -> list[ShownRequir
 class ReplayFlight:
     """A flight to be shown.
 
-    `label` names the flight. `moments` are its events and those derived from its channels (largest dynamic pressure),
-    in order. `span_s` is its first and last time. `damage` describes the missing parts of the log, a sentence each.
+    `label` names the flight. `moments` are its events in order, with max q derived from the channels if the log has no
+    such event. `span_s` contains its first and last time. `damage` contains a sentence on each missing part of the log.
     """
 
     path: Path
@@ -141,7 +141,7 @@ class ReplayFlight:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return a sentence for each part that cannot be shown."""
+        """Return a sentence on each part of the flight that cannot be shown."""
         return (*self.damage, *self._scenario_and_complaint[1])
 
     @cached_property
@@ -156,34 +156,34 @@ class ReplayFlight:
 
     @property
     def outcome(self) -> str:
-        """Return the outcome as `Flight.outcome` does, or "cut off" if the log does not contain it."""
+        """Return the outcome of the flight (`Flight.outcome`), or "cut off" if the log does not contain it."""
         return self.end.get("outcome", "cut off")
 
     @cached_property
     def verdict(self) -> str:
-        """Return `passed`, `failed` or `unknown` (no summary next to the log, and no fault in it)."""
+        """Return `passed` or `failed`, or `unknown` if there is neither a summary next to the log nor a fault in it."""
         if isinstance(self.summary.get("passed"), bool):
             return "passed" if self.summary["passed"] else "failed"
         return "failed" if any(self.moment(name) for name in _FAULTS) else "unknown"
 
     @property
     def is_nominal(self) -> bool:
-        """Return True for the undispersed flight that a campaign keeps among the others."""
+        """Return True for the undispersed flight that a campaign stores with the others."""
         return "nominal" in self.label.lower().split("/")[-1]
 
     @property
     def burn_end_s(self) -> float:
-        """Return the time of the last burnout, or the end of the log without one."""
+        """Return the time of the last burnout, or the end of the log if there is none."""
         moment = self.moment("burnout")
         return moment.time_s if moment is not None else self.span_s[1]
 
     def moment(self, name: str) -> Moment | None:
-        """Return the last event of that name."""
+        """Return the last event of that name, or None."""
         return next((m for m in reversed(self.moments) if m.name == name), None)
 
     @cached_property
     def requirements(self) -> tuple[ShownRequirement, ...]:
-        """Return the requirements of the scenario, with values from the summary next to the log."""
+        """Return the requirements of the scenario, with the values in the summary next to the log."""
         judged = {(r.get("name"), r.get("metric")): r for r in self.summary.get("requirements", [])}
         out = []
         for r in self.scenario.requirement if self.scenario is not None else ():
@@ -194,7 +194,7 @@ class ReplayFlight:
 
 
 def open_flight(path: Path, label: str = "", read: Callable[[Path], Log] | None = None) -> ReplayFlight:
-    """Read a log and its related files. Raises ReplayError if no part of it can be shown."""
+    """Read a log and the summary next to it. Raises ReplayError if no part of the log can be shown."""
     read = read or _keeping(None)
     log = read(path)
     times = [log.time_ns(topic.name) for topic in log.table.topics]
@@ -207,9 +207,9 @@ def open_flight(path: Path, label: str = "", read: Callable[[Path], Log] | None 
 
 
 def _keeping(most: int | None) -> Callable[[Path], Log]:
-    """Return a reader of logs that keeps the `most` last used in memory (None: all).
+    """Return a function that reads logs and keeps the `most` recently used logs in memory (None: all).
 
-    Raises ReplayError if a log cannot be read.
+    The function raises ReplayError for a log that cannot be read.
     """
 
     @functools.lru_cache(most)
@@ -230,7 +230,7 @@ def _moments(log: Log) -> tuple[Moment, ...]:
 
 
 def _largest_pressure(log: Channels) -> Moment | None:
-    """Return the largest dynamic pressure under thrust (max q), or None without air or thrust."""
+    """Return the largest dynamic pressure under thrust (max q), or None if it is below 1 kPa or unknown."""
     if "dynamic_pressure_Pa" not in log or "thrust_N" not in log:
         return None
     pressure, burning = log["dynamic_pressure_Pa"], log["thrust_N"] > 0.0
@@ -251,18 +251,17 @@ def _scenario_text(log: Log) -> str | None:
 
 
 def launch_of(log: Log) -> tuple[EarthSection, Site]:
-    """Return the Earth and launch site from two tables of the scenario.
+    """Return the Earth and the launch site of a log.
 
-    Reading the whole scenario takes a third of a second.
-
-    If the tables cannot be read, the result is WGS-84 and the site that the log's metadata name.
+    Only two tables of the scenario are read, since reading the whole scenario takes a third of a second. If they cannot
+    be read, the Earth is WGS 84 and the site is that in the metadata of the log.
     """
     tables = re.findall(r"^\[(?:earth|site)\]\n(?:[^\[\n].*\n|\n)*", _scenario_text(log) or "", re.MULTILINE)
     try:
         found = tomllib.loads("".join(tables))
         if "site" in found:
             return EarthSection.model_validate(found.get("earth", {})), Site.model_validate(found["site"])
-    except ValueError:  # of TOML or of the schema
+    except ValueError:  # raised by TOML or by the schema
         pass
     data = log.metadata
     site = Site.model_construct(
@@ -275,21 +274,21 @@ def launch_of(log: Log) -> tuple[EarthSection, Site]:
 
 
 def _summary(log: Log) -> Mapping[str, Any]:
-    """Return the summary next to the log, if it belongs to the same flight."""
+    """Return the summary next to the log, or an empty mapping if it does not belong to the same flight."""
     try:
         summary = json.loads(log.path.with_name(SUMMARY_NAME).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     if not isinstance(summary, dict) or summary.get("state_hash") != log.end.get("state_hash", ""):
         return {}
-    judged = summary.get("requirements")  # of a file with unknown author
+    judged = summary.get("requirements")  # the file may be from any author
     whole = isinstance(judged, list) and all(isinstance(r, dict) for r in judged)
     return summary if whole else summary | {"requirements": []}
 
 
 # -- finding logs ---------------------------------------------------------------------------------------------------
 def find_logs(places: Sequence[str]) -> list[tuple[Path, str]]:
-    """Return paths of logs with a label each. Raises ReplayError for a place without logs."""
+    """Return the paths of the logs at the given places, with labels. Raises ReplayError for a place without logs."""
     found: list[tuple[Path, str]] = []
     for place in places:
         path = Path(place)
@@ -310,7 +309,9 @@ def find_logs(places: Sequence[str]) -> list[tuple[Path, str]]:
 
 
 def _in_folder(folder: Path) -> list[tuple[Path, str]]:
-    """Return the nominal flight first, then the runs in the order of their names."""
+    """Return the logs in a folder with their labels: the nominal flight first, the others in the order of their
+    names.
+    """
     alone = folder / LOG_NAME
     kept = sorted(path for name in KEPT for path in (folder / name).glob(f"*/{LOG_NAME}"))
     if alone.is_file() and not kept:
@@ -326,10 +327,10 @@ def _in_folder(folder: Path) -> list[tuple[Path, str]]:
 def open_flights(
     places: Sequence[str], *, in_turn: bool = False, watch: ConversionWatch = lambda *_: None
 ) -> tuple[list[ReplayFlight], list[str]]:
-    """Return all readable flights, and a message for each that cannot be read, or only in part.
+    """Return all readable flights, and a message on each flight that cannot be read completely.
 
-    `in_turn` means that the caller processes them one after the other, so that only the numbers of a few are in memory.
-    Raises ReplayError if none can be read.
+    Set `in_turn` if the caller processes the flights one after the other: then, only the data of a few flights are kept
+    in memory. Raises ReplayError if no flight can be read.
     """
     logs = find_logs(places)
     flights: list[ReplayFlight] = []
@@ -354,7 +355,10 @@ def open_flights(
 
 
 def closest(flights: Sequence[ReplayFlight]) -> set[int]:
-    """Return the flights whose vehicle and limits are drawn: the nominal, those that failed, then the first ones."""
+    """Return the indices of the flights whose vehicle and limits are drawn.
+
+    The nominal flight is first in order, then failed flights, then the others.
+    """
 
     def rank(i: int) -> tuple[bool, bool, int]:
         return not flights[i].is_nominal, flights[i].verdict != "failed", i
@@ -363,8 +367,9 @@ def closest(flights: Sequence[ReplayFlight]) -> set[int]:
 
 
 def _unlike_labels(flights: Sequence[ReplayFlight]) -> list[ReplayFlight]:
-    """Return distinct labels of flights: the folder's name if two are equal, or the path, numbered if that is not
-    sufficient.
+    """Return the flights with distinct labels.
+
+    Equal labels are replaced by the name of the folder or, if these are equal too, completed by the path and a number.
     """
     count = Counter(flight.label for flight in flights)
     folders = Counter(flight.path.resolve().parent.name for flight in flights)
@@ -381,7 +386,7 @@ def _unlike_labels(flights: Sequence[ReplayFlight]) -> list[ReplayFlight]:
 
 # -- the frame of the launch site: x east, y north, z up (the log's `launch_site`) -----------------------------------
 class ShownLaunchSite(launch_frames.LaunchSite):
-    """The launch site's frame. `moved` is True if its origin is the start of the flight instead."""
+    """The frame of the launch site. If `moved` is True, its origin is the start of the flight instead of the site."""
 
     moved = False
 
@@ -389,7 +394,7 @@ class ShownLaunchSite(launch_frames.LaunchSite):
         return LaunchFrames(table, self, period_ns)
 
     def from_ned(self, latitude_deg: Array, longitude_deg: Array, v_N: Array) -> Array:
-        """Return vectors (n, 3) given north, east, down at places (n,), in the axes of the site."""
+        """Return vectors in the axes of the site, (n, 3), from their components north, east, down at places (n,)."""
         if self.earth.figure == FLAT:
             return np.asarray(v_N @ ENU_NED.T)
         lat, lon = np.radians(latitude_deg), np.radians(longitude_deg)
@@ -397,14 +402,14 @@ class ShownLaunchSite(launch_frames.LaunchSite):
         return np.asarray(np.stack(v_E, axis=1) @ self.enu_E.T)
 
     def ground(self, east_m: Array, north_m: Array) -> Array:
-        """Return points (n, 3) on the ground at the site's altitude below points of the horizontal plane (n,)."""
+        """Return the points (n, 3) on the ground, at the site's altitude, below points (n,) of the horizontal plane."""
         if self.earth.figure == FLAT:
             return np.stack([east_m, north_m, np.zeros_like(east_m)], axis=1)
         flattening, a = self.earth.flattening, self.earth.equatorial_radius_m
         height = self.site.altitude_m
         semi = np.array([a + height, a + height, a * (1.0 - flattening) + height])
         on_plane = self.origin_E_m + np.stack([east_m, north_m, np.zeros_like(east_m)], 1) @ self.enu_E
-        direction = -self.enu_E[2]  # straight down at the site, to the ellipsoid of the site's height
+        direction = -self.enu_E[2]  # vertical at the site, to the ellipsoid at the site's altitude
         p, d = on_plane / semi, direction / semi
         a2, b1, c0 = float(d @ d), p @ d, (p * p).sum(axis=1) - 1.0
         root = np.sqrt(np.maximum(b1 * b1 - a2 * c0, 0.0))
@@ -413,12 +418,14 @@ class ShownLaunchSite(launch_frames.LaunchSite):
 
 
 def place_of(flight: ReplayFlight) -> ShownLaunchSite:
-    """Return the launch site's frame of a logged flight."""
+    """Return the frame in which a logged flight is drawn."""
     return launch_site(*launch_of(flight.log), flight.log)
 
 
 def launch_site(earth: EarthSection, site: Site, channels: Channels) -> ShownLaunchSite:
-    """Return the frame to draw in. `channels` give the start of the flight."""
+    """Return the frame in which to draw a flight. It is moved if the flight, by its `channels`, starts far from the
+    site.
+    """
     place = ShownLaunchSite(pack_earth(earth), site)
     if place.earth.figure == FLAT or "latitude_deg" not in channels or not len(channels["latitude_deg"]):
         return place
@@ -433,7 +440,7 @@ def launch_site(earth: EarthSection, site: Site, channels: Channels) -> ShownLau
 
 
 def path_of(channels: Channels, frames: LaunchFrames) -> FramePath:
-    """Return the motion in a log or block. `frames` selects the poses and stores the last one."""
+    """Return the motion in a log or a block. `frames` selects the poses and stores the last pose."""
     table = channels.table
     times_ns = channels.time_ns(_NEEDED[0])
     rows = np.zeros((len(times_ns), len(table.columns(table.topic(_NEEDED[0]).group))))

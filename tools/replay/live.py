@@ -1,6 +1,6 @@
-"""Flights shown in a viewer by `simrun`, either live in blocks of 0.2 s of flight, or after the flight.
+"""Flights that `simrun` shows in a viewer, either live in blocks of 0.2 s of flight, or after the flight.
 
-    run = LiveRun(loaded, packed, view)      # in place of FlightRun: same flight, same log, to the bit
+    run = LiveRun(loaded, packed, view)      # in place of FlightRun: the same flight and log, bit by bit
 
 Closing the viewer does not stop the flight.
 """
@@ -36,7 +36,7 @@ from maxq.tools.replay.viewer import LOCAL, ReplayError
 
 BLOCK_NS = 200_000_000
 BENDING, SLOSH = 1000.0, 5.0
-"""The exaggeration of a flight whose largest bending and slosh angle are not known yet."""
+"""The exaggeration of a live flight, whose largest bending and slosh angle are not known in advance."""
 _ROOT = "flight"
 _PATIENCE_S, _FLOWN_PATIENCE_S = 5.0, 30.0
 _SCENE_EVERY_S, _PLOTS_EVERY_S = 0.15, 0.9
@@ -50,19 +50,19 @@ def _connected(name: str, port: int) -> rr.RecordingStream:
 
 
 class FlownView:
-    """The viewer that shows the log of a flight after the flight: one that listens on `port` of this machine, or a new
-    window (None).
+    """A viewer for the log of a completed flight.
 
-    It is created before the flight, so that a missing viewer is reported before the flight. Raises ReplayError.
+    It is the viewer that listens on `port` of this machine, or a new window if `port` is None. Create it before the
+    flight, so that a missing viewer is reported before the flight. Raises ReplayError.
     """
 
     def __init__(self, port: int | None) -> None:
         self._port = viewer.listening(port)
 
     def show(self, log: Path) -> None:
-        """Show the log.
+        """Show a log. If the viewer is a new window, return when it is closed.
 
-        The function returns when a new window is closed. Raises ReplayError if the log or the viewer fails.
+        Raises ReplayError if the log or the viewer fails.
         """
         flight = open_flight(log)
         if self._port is None:
@@ -81,7 +81,9 @@ class FlownView:
 
 
 class Block:
-    """The rows of a running flight, by channel name. `start_place_deg` is the latitude and longitude of its start."""
+    """Rows of a running flight by channel name. `start_place_deg` is the latitude and longitude of the start of the
+    flight.
+    """
 
     def __init__(self, table: ChannelTable, rows: LoggedRows, start_place_deg: tuple[float, float] | None) -> None:
         self.table = table
@@ -99,10 +101,10 @@ class Block:
 
 
 class LiveView:
-    """A connection that sends a flight to a viewer: one that listens on `port` of this machine already, or a new
-    window.
+    """A viewer for a running flight.
 
-    Raises ReplayError if neither is available.
+    It is the viewer that listens on `port` of this machine, or a new window if `port` is None. Raises ReplayError if
+    neither is available.
     """
 
     def __init__(self, loaded: LoadedScenario, port: int | None = None) -> None:
@@ -129,16 +131,15 @@ class LiveView:
         self.stop: Callable[[], bool] = lambda: False
 
     def run(self, packed: Packed, factor: float | None) -> LiveRun:
-        """Return the flight, to be flown like any other."""
+        """Return the flight, which is to be flown like any other. `factor` is that of `LiveRun`."""
         return LiveRun(self._loaded, packed, self, factor)
 
     def add(self, run: FlightRun, rows: LoggedRows) -> None:
         """Show the rows of a block and the events since the last block.
 
         A viewer processes some hundred messages per second, and each entity of a block is one message. Therefore, rows
-        are kept for a minimum time after the last message. In real time, every block is shown immediately, with its
-        plots every few blocks. A flight at full speed has thousands of blocks in a second or two, which are sent in a
-        few large ones.
+        are collected for a minimum time between messages. In real time, every block is shown immediately, and its plots
+        every few blocks. At full speed, thousands of blocks within a second or two are sent as a few large blocks.
         """
         if not len(rows[SLOW][0]):
             return
@@ -214,9 +215,7 @@ class LiveView:
         self._recording.log("about", rr.TextDocument("\n".join(text), media_type="text/markdown"), static=True)
 
     def _send_limits(self, until_ns: int, *, styled: bool = False) -> None:
-        """Send the limits over the duration of the flight only, since the viewer's cursor follows the latest of all
-        samples.
-        """
+        """Send the limits up to the current time only, since the viewer's cursor follows the latest of all samples."""
         for plot in (plot for tab in self._tabs for plot in tab.plots):
             required = [limit for limit in plot.limits if limit.required]
             stream.send_limits(self._recording, plot, required, (self._limits_until_ns, until_ns), styled=styled)
@@ -245,7 +244,11 @@ class LiveView:
             self._phases = now
 
     def _reach_m(self) -> float:
-        """Return an estimate of the range: a throw at 45 deg with the first stages' impulse without drag, halved."""
+        """Return an estimate of the range: half that of a throw at 45 deg with the speed that all stages gain without
+        drag.
+
+        It is at least 1 km and at most 2000 km.
+        """
         speed = 0.0
         for stage in self._scenario.vehicle.stage:
             if not stage.engines:
@@ -266,10 +269,11 @@ class LiveView:
 
 
 class LiveRun(FlightRun):
-    """A flight sent to a view block by block. Its segments, rows and log equal those of any `FlightRun`, bit by bit.
+    """A flight that is sent to a view block by block. Its segments, rows and log equal those of a `FlightRun`, bit by
+    bit.
 
-    `factor` is the ratio of flight time to real time (1: real time; None: full speed). The view's `stop` is called
-    after every block, so that a flight in real time can be interrupted immediately.
+    `factor` is the ratio of flight time to real time (None: full speed). The view's `stop` is called after every block,
+    so that a flight in real time can be interrupted immediately.
     """
 
     def __init__(
@@ -282,7 +286,9 @@ class LiveRun(FlightRun):
         self._block_ns = self._block_length_ns()
 
     def fly_segment(self, length_ns: int | None = None) -> LoggedRows:
-        """Fly a segment as `FlightRun.fly_segment` does, and show it block by block."""
+        """Fly a segment like `FlightRun.fly_segment`, and show it block by block. A segment of given length is not
+        shown.
+        """
         if length_ns is not None:
             return super().fly_segment(length_ns)
         end_ns = (int(self.memory.clock.now_ns) // self.segment_ns + 1) * self.segment_ns
@@ -302,7 +308,10 @@ class LiveRun(FlightRun):
         return flight
 
     def _block_length_ns(self) -> int:
-        """Return 0.2 s, or the nearest shorter time that divides a segment into whole blocks of whole steps."""
+        """Return the length of a block: about 0.2 s, such that a segment has whole blocks of whole steps.
+
+        If there is no such length, it is that of the segment.
+        """
         step_ns = int(self.packed.parameters[0].timeline.step_ns)
         for count in range(max(1, self.segment_ns // BLOCK_NS), 1, -1):
             if self.segment_ns % (count * step_ns) == 0:
@@ -318,7 +327,7 @@ class LiveRun(FlightRun):
 
 
 def joined(parts: list[LoggedRows]) -> LoggedRows:
-    """Return consecutive blocks as one."""
+    """Return consecutive blocks as one block."""
     return {
         group: (np.concatenate([part[group][0] for part in parts]), np.concatenate([part[group][1] for part in parts]))
         for group in (FAST, SLOW)

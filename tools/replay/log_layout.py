@@ -3,8 +3,8 @@
     rerun flight.mcap &
     python -m maxq.tools.replay.log_layout flight.mcap [PORT]
 
-Rerun reads the numbers of an MCAP log, but plots none without a layout. Here every channel of the log is plotted, by
-topic and unit, next to the body's axes and the events.
+Rerun reads the numbers of an MCAP log, but plots none without a layout. This layout plots up to eight channels of each
+topic and unit, next to the body axes and the events.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from maxq.tools.replay.viewer import LOCAL, ReplayError, listening
 
 TIMELINE = "message_log_time"
 _AXES_M = 10.0  # length of the body's axes
-_MOST = 8  # curves in a plot
-_PORT = 9876  # Rerun's own
+_MOST = 8  # most curves in a plot
+_PORT = 9876  # Rerun's default
 
 
 def layout_of(log: Log) -> rrb.Blueprint:
-    """Return plots in a tab for each topic, the frames in 3D, and the events."""
+    """Return the layout for a log: plots in a tab for each topic, the frames in 3D, and the events."""
     ends = [int(log.time_ns(topic.name)[-1]) for topic in log.table.topics if len(log.time_ns(topic.name))]
     whole = rrb.archetypes.TimeAxis(
         view_range=rr.TimeRange(
@@ -55,7 +55,7 @@ def layout_of(log: Log) -> rrb.Blueprint:
 
 
 def selectors(topic: Topic) -> dict[str, list[str]]:
-    """Return the channels to plot by unit, a few in each."""
+    """Return the channels of a topic to plot, by unit and at most `_MOST` for each."""
     by_unit: dict[str, list[str]] = {}
     for channel in topic.channels:
         by_unit.setdefault(channel.unit, []).append(channel.name)
@@ -77,7 +77,7 @@ def _line(topic: Topic, name: str, number: int) -> rrb.Visualizer:
     source = VisualizerComponentMapping(
         "Scalars:scalars",
         ComponentSourceKind.SourceComponent,
-        source_component=f"{message_type(topic)}:message",  # Rerun's name for the messages of a topic
+        source_component=f"{message_type(topic)}:message",  # the name that Rerun gives to the messages of a topic
         selector=f".{name}",
     )
     look = rr.SeriesLines(names=name, colors=rgba(ON_DARK[number % len(ON_DARK)]), widths=1.2)
@@ -85,9 +85,9 @@ def _line(topic: Topic, name: str, number: int) -> rrb.Visualizer:
 
 
 def send_layout(log: Path, port: int) -> None:
-    """Set the layout of the viewer that listens on `port` of this machine. Raises ReplayError, LogError."""
+    """Set the layout of the viewer that listens on `port` of this machine. Raises ReplayError and LogError."""
     listening(port)
-    application = log.stem  # Rerun's name for the recordings that it makes of files of that name
+    application = log.stem  # the name that Rerun gives to recordings of files of that name
     layout_of(read_log(log)).connect_grpc(application, url=f"rerun+http://{LOCAL}:{port}/proxy")
 
 

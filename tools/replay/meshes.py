@@ -1,6 +1,6 @@
-"""Triangle meshes of a vehicle's parts, cut into pieces that bend: skin, ribs, tanks, fins, nozzle, liquids.
+"""The triangle meshes of a vehicle, in pieces that follow the bending: skin, ribs, tanks, fins, nozzles and liquids.
 
-Lengths are in metres. The x axis points to the nose, as in B.
+Lengths are in metres. The x axis points to the nose, as in body axes.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _FIN, _RIB = [150, 156, 166, 255], [120, 128, 140, 255]
 
 @dataclass(frozen=True)
 class Mesh:
-    """The `vertices` (n, 3) and `triangles` (m, 3) of a surface, counter-clockwise from outside."""
+    """A surface of `vertices` (n, 3) and `triangles` (m, 3), whose corners are counter-clockwise seen from outside."""
 
     vertices: Array
     triangles: NDArray[np.uint32]
 
     @property
     def normals(self) -> Array:
-        """Return the outward normals (n, 3): the means of the normals of the adjoining faces."""
+        """Return the outward normals at the vertices (n, 3), each the mean of those of the adjoining faces."""
         a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
         normals = np.zeros_like(self.vertices)
         for k in range(3):
@@ -43,13 +43,13 @@ class Mesh:
 
 
 def circle(sides: int = SIDES) -> Array:
-    """Return the unit circle in the y-z plane (sides, 2)."""
+    """Return the unit circle in the y-z plane, (sides, 2)."""
     angle = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
     return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def revolved(profile: Sequence[tuple[float, float]], sides: int = SIDES) -> Mesh:
-    """Return a surface of revolution about x. `profile` lists (x, radius) from one end to the other."""
+    """Return a surface of revolution about x. `profile` contains (x, radius) from one end to the other."""
     x, radius = np.array(profile, float).T
     points = np.empty((len(x), sides, 3))
     points[:, :, 0] = x[:, None]
@@ -68,10 +68,10 @@ def liquid_vertices(floor_x: Array, surface_x: Array, radius: float, tilt: Array
     """Return the vertices (n, 4 sides, 3) of n states of a liquid in an upright cylinder: floor, wall (two rings),
     surface.
 
-    `floor_x` and `surface_x` (n,) are heights on the axis. `tilt` (n, 2) is the rise of the surface per metre along y
-    and z. `shift` (n, 2, 2) is the displacement in y and z of the floor and of the surface (bending). The surface does
-    not go below the floor. The rings of the wall and those of floor and surface are separate, so that edges look like
-    edges.
+    `floor_x` and `surface_x` (n,) are positions on the axis. `tilt` (n, 2) is the rise of the surface per metre along y
+    and z. `shift` (n, 2, 2) is the displacement by bending in y and z, of the floor and of the surface. The surface
+    does not go below the floor. The rings of the wall are separate from those of floor and surface, so that edges look
+    sharp.
     """
     ring = radius * circle()
     top = np.maximum(surface_x[:, None] + tilt @ ring.T, floor_x[:, None])
@@ -84,8 +84,9 @@ def liquid_vertices(floor_x: Array, surface_x: Array, radius: float, tilt: Array
 
 
 def _liquid(colour: str) -> rr.Mesh3D:
-    """Return the constant part of a liquid's mesh, which `liquid_vertices` completes: triangles, and the normals of an
-    upright surface.
+    """Return the constant part of a liquid's mesh: its triangles, and the normals of an upright surface.
+
+    `liquid_vertices` completes it.
     """
     middle = np.arange(1, SIDES - 1)
     disc = np.stack([0 * middle, middle, middle + 1], axis=1)
@@ -98,7 +99,7 @@ def _liquid(colour: str) -> rr.Mesh3D:
 
 
 def plate(corners: Sequence[tuple[float, float, float]], thickness: float) -> Mesh:
-    """Return a flat plate with four corners, thickened across its plane."""
+    """Return a flat plate with four corners, centred on their plane."""
     base = np.array(corners, float)
     normal = np.cross(base[1] - base[0], base[2] - base[0])
     normal *= 0.5 * thickness / np.linalg.norm(normal)
@@ -110,7 +111,7 @@ def plate(corners: Sequence[tuple[float, float, float]], thickness: float) -> Me
 
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
-    """Return several meshes as one."""
+    """Return several meshes as one mesh."""
     starts = np.cumsum([0, *(len(m.vertices) for m in meshes[:-1])])
     triangles = [m.triangles + np.uint32(start) for m, start in zip(meshes, starts, strict=True)]
     return Mesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(triangles))
@@ -118,9 +119,10 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
 
 # -- a vehicle -----------------------------------------------------------------------------------------------------
 def vehicle_meshes(shape: VehicleShape, number: int, loaded: bool) -> list[tuple[str, rr.AsComponents]]:
-    """Return the pieces of a stage's vehicle, in the coordinates of the pieces.
+    """Return the meshes of the vehicle that flies in stage `number`, each with its entity and in its own coordinates.
 
-    Entities are given relative to the stage's. `loaded` is True if the skin's colour, its load, changes with time.
+    Entities are relative to that of the stage. `loaded` is True if the colour of the skin shows its load, which
+    changes.
     """
     out: list[tuple[str, rr.AsComponents]] = []
     flying = shape.stages[number:]
@@ -150,7 +152,7 @@ def vehicle_meshes(shape: VehicleShape, number: int, loaded: bool) -> list[tuple
 
 
 def mesh3d(body: Mesh, colour: Sequence[int] | None) -> rr.Mesh3D:
-    """Return a mesh for the viewer in one colour (RGBA), or in a colour that is sent separately."""
+    """Return a mesh for the viewer in one colour (RGBA). Without a colour, the colour is sent separately."""
     return rr.Mesh3D(
         vertex_positions=body.vertices,
         triangle_indices=body.triangles,
@@ -160,7 +162,9 @@ def mesh3d(body: Mesh, colour: Sequence[int] | None) -> rr.Mesh3D:
 
 
 def load_colours(shares: Array) -> IntArray:
-    """Return RGBA as 32-bit words for shares of a limit: the plain skin at 0, over yellow to red at 1, violet above."""
+    """Return RGBA as 32-bit words for utilisations of a limit: plain skin at 0, via yellow to red at 1, and violet
+    above.
+    """
     scale = np.array([_SKIN, [250, 205, 90, 150], [240, 120, 40, 200], [205, 30, 40, 235], [150, 30, 190, 255]])
     rgba = np.stack([np.interp(shares, LOAD_SHARES, channel) for channel in scale.T], axis=-1).round().astype("u4")
     return np.asarray(rgba @ np.array([1 << 24, 1 << 16, 1 << 8, 1], "u4"))
@@ -174,13 +178,13 @@ def _radius(stages: Sequence[StageShape], station: float) -> float:
 
 
 def _ring(x: float, radius: float) -> list[tuple[float, float]]:
-    """Return a thin hoop, which shows the bent shape through the skin."""
+    """Return the profile of a thin hoop, which shows the bent shape through the skin."""
     w = 0.02 * radius
     return [(-x - w, 1.002 * radius), (-x, 1.012 * radius), (-x + w, 1.002 * radius)]
 
 
 def _skin(stage: StageShape, a: float, b: float) -> Mesh | None:
-    """Return the skin between two stations, in the piece's coordinates (x forward from station a)."""
+    """Return the skin between stations a and b in the coordinates of the piece (x forward from a), or None."""
     front, end = max(a, stage.front_m), min(b, stage.end_m)
     if end - front <= 1e-9:
         return None
@@ -197,7 +201,7 @@ def _tank_wall(tank: TankShape, a: float, b: float) -> Mesh | None:
         return None
     parts = [revolved([(a - end, tank.radius_m), (a - front, tank.radius_m)])]
     for station, here in ((tank.top_station_m, front), (tank.bottom_station_m, end)):
-        if station == here:  # a rim where the tank ends
+        if station == here:  # a rim at the end of the tank
             parts.append(revolved([(a - here, 0.0), (a - here, tank.radius_m)]))
     return joined(parts)
 
@@ -228,7 +232,7 @@ def booster_mesh(booster: BoosterShape) -> rr.Mesh3D:
 
 
 def _booster(booster: BoosterShape, a: float, b: float) -> Mesh | None:
-    """Return the skin of a booster between two stations."""
+    """Return the skin of a booster between stations a and b in the coordinates of the piece, or None."""
     stations, radii = booster.profile.T
     front, end = max(a, float(stations[0])), min(b, float(stations[-1]))
     if end - front <= 1e-9:
@@ -240,7 +244,7 @@ def _booster(booster: BoosterShape, a: float, b: float) -> Mesh | None:
 
 
 def _bell(length: float, exit_radius: float) -> list[tuple[float, float]]:
-    """Return the chamber, throat and bell of a nozzle, from the exit to the gimbal at x = 0."""
+    """Return the profile of a nozzle from its exit, over bell, throat and chamber, to the gimbal at x = 0."""
     throat = 0.4 * exit_radius
     x = np.linspace(-length, -0.35 * length, 8)
     share = (x + length) / (0.65 * length)

@@ -1,4 +1,4 @@
-"""The plots: one table for viewer, paper and terminal, with units and limits, sorted into tabs by subject."""
+"""The plots, in one table for viewer, paper and terminal, with units and limits, sorted into tabs by subject."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from maxq.tools.replay.flight import Channels
 from maxq.tools.replay.vehicle_shape import PLANES, VehicleShape, shape_of, shapes_at
 
 NEAR = 3.0
-"""The ratio to the largest value above which a limit is named, not drawn."""
+"""The ratio of a limit to the largest value above which the limit is named in place of being drawn."""
 TimesAndValues = tuple[IntArray, Array]
 Computed = Callable[[Channels, str, VehicleShape | None], TimesAndValues]
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A bound in a plot's unit. `upper` means that values above it are not allowed (else: below)."""
+    """A limit in a plot's unit. If `upper` is True, values above it are not allowed, else values below it."""
 
     value: float
     label: str
     upper: bool = True
-    required: bool = True  # by the scenario; otherwise a limit of the hardware
+    required: bool = True  # by the scenario; else a limit of the hardware
 
     @property
     def text(self) -> str:
@@ -40,14 +40,14 @@ class Limit:
 
 @dataclass(frozen=True)
 class PlotLine:
-    """A line of a plot: a channel, and the computation of its values if they are not those of the log."""
+    """A line of a plot: a channel, and the function that computes its values if they are not those of the channel."""
 
     label: str
     channel: str
     compute: Callable[[Channels], TimesAndValues] | None = None
 
     def values(self, channels: Channels) -> TimesAndValues:
-        """Return the times (n,) in ns and values (n,) in the plot's unit."""
+        """Return the times (n,) in ns and the values (n,) in the plot's unit."""
         if self.compute is not None:
             return self.compute(channels)
         return channels.time_ns(self.channel), channels[self.channel]
@@ -58,9 +58,9 @@ _NEVER = np.iinfo(np.int64).max
 
 @dataclass(frozen=True)
 class ReplayPlot:
-    """A plot. `key` is its place below `plots/`, made of lower-case words. `unit` is "" for a bare number.
+    """A plot. `key` is its path below `plots/`, in lower-case words. `unit` is "" for a dimensionless quantity.
 
-    `glance` is the number of its curves that the terminal shows, under a name in which {} is the curve's label.
+    `glance` is the number of its curves that the terminal shows, and their name, in which {} is the label of the curve.
     """
 
     key: str
@@ -75,9 +75,7 @@ class ReplayPlot:
         return f"{self.title}, {self.unit}" if self.unit else self.title
 
     def value_range(self, channels: Channels, from_ns: int = 0, until_ns: int = _NEVER) -> tuple[float, float] | None:
-        """Return the smallest and largest value between two times of the curves that a flight has, or None without
-        numbers.
-        """
+        """Return the least and greatest value of the curves between two times, or None if there are no numbers."""
         curves = (c.values(channels) for c in self.curves if c.channel in channels)
         return range_of([values[(ns >= from_ns) & (ns <= until_ns)] for ns, values in curves])
 
@@ -90,12 +88,12 @@ class Tab:
 
 @dataclass(frozen=True)
 class _Row:
-    """A row of the table below: the definition of a plot, independent of channels, scenario and vehicle.
+    """A row of the table below: the definition of a plot, independent of log, scenario and vehicle.
 
-    `curves` are label and channel. {} in both represents each mode or tank that has channels in the log. Values are
-    multiplied by `factor`, or computed by `compute`. They are gaps unless the condition `only` is met (a channel
-    exceeds a number). `limits` are metrics whose requirements are drawn, with either sign if `both` is True (the metric
-    is the larger of either sign). `hardware` is the key and axis of the actuator's own limit, and its label.
+    `curves` maps labels to channels. In both, {} stands for each mode or tank that has channels in the log. Values are
+    multiplied by `factor`, or computed by `compute`. With `only`, they are gaps unless a channel exceeds a number.
+    `limits` are metrics whose requirements are drawn, with both signs if `both` is True, since such a metric is a
+    magnitude. `hardware` is the key and axis of a limit of the actuator, and its label.
     """
 
     key: str
@@ -117,9 +115,9 @@ def _lateral(channels: Channels, name: str, shape: VehicleShape | None) -> Times
 
 
 def _distance_km(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
-    """Return the great-circle distance from the first point, accurate to half a percent.
+    """Return the great-circle distance from the start of the flight, km, accurate to half a percent.
 
-    Blocks of a running flight pass the point on.
+    In a block of a running flight, the start is `start_place_deg`.
     """
     lat, lon = np.radians(channels[name]), np.radians(channels["longitude_deg"])
     start = getattr(channels, "start_place_deg", None)
@@ -129,14 +127,14 @@ def _distance_km(channels: Channels, name: str, shape: VehicleShape | None) -> T
 
 
 def _in_motion(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
-    """Return a direction of flight, with a gap where it is undefined."""
+    """Return a direction of flight, with gaps at low speed, where it is undefined."""
     return channels.time_ns(name), np.where(channels["speed_mps"] > 1.0, channels[name], np.nan)
 
 
 def _gyro_rate_of_mode(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
-    """Return the angular rate at the gyro by one mode: its slope there times the modal rate.
+    """Return the angular rate at the gyro due to one mode (deg/s): its slope at the gyro times the modal rate.
 
-    `name` is like eta_pitch_1_mps.
+    `name` has the form eta_pitch_1_mps. The slopes are those of the first stage.
     """
     _, axis, mode, _ = name.split("_")
     ns, rate = channels.time_ns(name), channels[name]
@@ -151,9 +149,9 @@ def _gyro_rate_of_mode(channels: Channels, name: str, shape: VehicleShape | None
 
 
 def _largest_section(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
-    """Return the largest of all stations, kN or kN m: axial compression, or magnitude of both planes.
+    """Return the largest value over all stations: axial compression (kN), or magnitude over both planes (kN or kN m).
 
-    `name` is that of station 1.
+    `name` is the channel of station 1.
     """
     of_all = [n for n in channels.table.names if re.fullmatch(name.replace("_1_", r"_\d+_"), n)]
     if "_axial_" in name:
@@ -258,8 +256,9 @@ _TABLE: dict[str, list[_Row]] = {
 
 
 def tabs_of(table: ChannelTable, scenario: Scenario | None, shape: VehicleShape | None = None) -> tuple[Tab, ...]:
-    """Return all tabs that the channels of a log can fill, with limits and bending at the gyro if the vehicle is
-    known.
+    """Return all tabs that the channels of a log can fill.
+
+    They include limits if the scenario is known, and the bending at the gyro if the shape of the vehicle is known.
     """
     if shape is None and scenario is not None:
         shape = shape_of(scenario.vehicle)
@@ -276,7 +275,7 @@ def tabs_of(table: ChannelTable, scenario: Scenario | None, shape: VehicleShape 
 
 
 def own_tabs(tabs: Sequence[Tab], table: ChannelTable, scenario: Scenario | None) -> list[Tab]:
-    """Return those of `tabs` with only the curves that the channels of another log can fill."""
+    """Return `tabs` with only the plots and curves that the channels of another log can fill."""
     own = {plot.key: plot for tab in tabs_of(table, scenario) for plot in tab.plots}
     return [replace(tab, plots=tuple(own[plot.key] for plot in tab.plots if plot.key in own)) for tab in tabs]
 
@@ -313,7 +312,7 @@ def _values(
 
 
 def _limits(row: _Row, scenario: Scenario | None) -> tuple[Limit, ...]:
-    """Return limits from the requirements of the scenario, and from the actuator of the first stage that has one."""
+    """Return the limits from the requirements of the scenario and from the first actuator of the vehicle."""
     if scenario is None:
         return ()
     out = []
@@ -335,14 +334,14 @@ def _limits(row: _Row, scenario: Scenario | None) -> tuple[Limit, ...]:
 
 # -- ranges --------------------------------------------------------------------------------------------------------
 def range_of(values: Sequence[Array]) -> tuple[float, float] | None:
-    """Return the smallest and largest of all finite values, or None if there are none."""
+    """Return the least and greatest of all finite values, or None if there are none."""
     ends = [(float(some.min()), float(some.max())) for v in values if len(some := v[np.isfinite(v)])]
     return (min(a for a, _ in ends), max(b for _, b in ends)) if ends else None
 
 
 @dataclass(frozen=True)
 class PlotAxis:
-    """The range of a plot's y axis, the limits within it and those beyond."""
+    """The range of a plot's y axis, the limits drawn within it, and those beyond it."""
 
     low: float
     high: float
@@ -350,7 +349,7 @@ class PlotAxis:
     beyond: tuple[Limit, ...]
 
     def beyond_text(self, unit: str) -> str:
-        """Return a note on limits that are not drawn: `limit 30 deg/s`."""
+        """Return a note on the limits that are not drawn, such as `limit 30 deg/s`."""
         sizes = sorted({abs(limit.value) for limit in self.beyond})
         if not sizes:
             return ""
@@ -359,13 +358,16 @@ class PlotAxis:
 
 
 def axis_of(plot: ReplayPlot, found: tuple[float, float] | None) -> PlotAxis:
-    """Return a range that shows the data, and each limit that is near enough not to compress them."""
+    """Return an axis that shows the data, and each limit that is near enough not to compress the data.
+
+    `found` is the range of the data.
+    """
     low, high = found or (0.0, 1.0)
     reach = max(abs(low), abs(high), 1e-12)
     drawn = tuple(limit for limit in plot.limits if abs(limit.value) <= NEAR * reach)
     beyond = tuple(limit for limit in plot.limits if limit not in drawn)
     low, high = min([low, *(x.value for x in drawn)]), max([high, *(x.value for x in drawn)])
-    if high - low < 1e-9 * max(abs(high), abs(low), 1e-3):  # a constant
+    if high - low < 1e-9 * max(abs(high), abs(low), 1e-3):  # a constant value
         room = max(0.5 * abs(high), 1.0 if high == 0.0 else 0.0)
         low, high = low - room, high + room
     margin = 0.045 * (high - low)

@@ -1,4 +1,4 @@
-"""The execution of `simreplay` after its command line has been parsed: open the logs and show them.
+"""The execution of `simreplay` after its command line has been parsed: read the logs and show them.
 
 Matplotlib and Rerun are imported only when they are needed. A summary in the terminal needs neither.
 """
@@ -28,8 +28,8 @@ _WEB_PORT = 9090
 
 
 def execute(given: argparse.Namespace) -> int:
-    """Execute the command line. Return the exit code. Raises ReplayError if nothing can be shown."""
-    find_logs(given.logs)  # a mistyped name is the more important error
+    """Execute the command with the parsed options. Return the exit code. Raises ReplayError if nothing can be shown."""
+    find_logs(given.logs)  # report a mistyped name first
     _check_before(given)
     with contextlib.ExitStack() as stack:
         client = None
@@ -48,7 +48,7 @@ def _complain(complaints: Sequence[str]) -> None:
 
 
 def _check_before(given: argparse.Namespace) -> None:
-    """Check all conditions that do not depend on the logs, since reading these may take seconds."""
+    """Check all conditions that do not depend on the logs, since reading these may take seconds. Raises ReplayError."""
     if given.plots or given.summary:
         return
     viewer.check_installed()
@@ -86,7 +86,7 @@ def _show(flights: list[ReplayFlight], given: argparse.Namespace, client: Callab
         return Exit.OK
     with temporary_recording() as path:
         _convert(flights, given, path)
-        flights.clear()  # the viewer has its data: the memory of the logs can be freed for it
+        flights.clear()  # the viewer has its data, and needs the memory
         _give_back_memory()
         if client is not None:
             return _screenshot(client(), path, given)
@@ -97,7 +97,7 @@ def _show(flights: list[ReplayFlight], given: argparse.Namespace, client: Callab
 
 
 def _give_back_memory() -> None:
-    """Return freed memory to the system, since glibc keeps a hundred megabytes unless requested."""
+    """Return freed memory to the system. Otherwise, glibc keeps a hundred megabytes."""
     if sys.platform.startswith("linux") and (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
         trim(0)
 
@@ -123,7 +123,7 @@ def _check_writable(path: Path) -> None:
 
 @contextlib.contextmanager
 def temporary_recording() -> Iterator[Path]:
-    """Return a file for the viewer that is deleted afterwards."""
+    """Yield the path of a file for the viewer, which is deleted at the end of the block."""
     with tempfile.TemporaryDirectory(prefix="maxq-replay-") as folder:
         yield Path(folder) / "replay.rrd"
 

@@ -1,8 +1,8 @@
 """The flight in three dimensions: ground, trajectory and vehicle, sent to a recording block by block.
 
-A whole log is one block; a running flight has many. Positions are in metres in the launch site's frame (x east, y
-north, z up). The body is cut into straight pieces that are sheared into a bent line. Tanks, fins and skin belong to
-their piece. Liquids are meshes whose surface is perpendicular to the slosh pendulum.
+A whole log is one block; a running flight has many. Positions are in metres in the frame of the launch site (x east, y
+north, z up). The body is cut into straight pieces that are sheared to follow the bent line. Skin, tanks and fins belong
+to a piece. Liquids are meshes whose surface is perpendicular to the slosh pendulum.
 """
 
 from __future__ import annotations
@@ -39,19 +39,22 @@ from maxq.tools.replay.vehicle_shape import (
 
 MOTION_NS, ARROWS_NS, TRAIL_NS = 20_000_000, 40_000_000, 200_000_000
 FAR_NS = 100_000_000
-"""The period of positions of flights that are not seen closely."""
+"""The period of the positions of flights without a vehicle."""
 _BEND_STEP_M, _LEVEL_STEP_M, _ANGLE_STEP_DEG = 2e-4, 1e-3, 2e-3  # smaller changes are not sent
-_LOAD_STEP = 0.02  # of the limit
+_LOAD_STEP = 0.02  # share of the limit
 _STEEPEST = math.tan(math.radians(60.0))
-_FALL_NS, _DRIFT_mps = 6_000_000_000, 2.0  # of a booster that has left, as it is shown
-_MARKS_APART = 0.04  # of the extent of a trajectory, so that names on it are legible
-_NO_SHAPE_M = 10.0  # length of an unknown vehicle
+_FALL_NS, _DRIFT_mps = 6_000_000_000, 2.0  # motion of a separated booster, as it is shown
+_MARKS_APART = 0.04  # share of the extent of a trajectory, so that names on it are legible
+_NO_SHAPE_M = 10.0  # assumed length of an unknown vehicle
 _GRID, _PAD, _BLOCK, _COMPASS = [74, 88, 106, 150], [96, 112, 132, 255], [110, 100, 88, 255], [150, 160, 175, 255]
 _NED = ("north", "east", "down")
 
 
 class Scene:
-    """The entities of a flight under `root`. A flight that is not `near` has only its position."""
+    """The entities of a flight under `root`. A flight that is not `near` has only its position.
+
+    `trail` contains the colours of the trajectory under thrust and while coasting.
+    """
 
     def __init__(
         self,
@@ -70,8 +73,8 @@ class Scene:
         self._trail_colours = [rgba(colour) for colour in trail]  # under thrust, coasting
         self._frames: LaunchFrames | None = None
         self.track: list[Array] = []
-        """The positions so far."""
-        self._last: dict[str, int] = {}  # period of the last row that was sent, by its kind
+        """The positions sent so far, (n, 3) for each block."""
+        self._last: dict[str, int] = {}  # period of the last row sent, by kind of data
         self._largest_thrust_N, self._largest_moment_Nm = 1.0, 0.0
         self._loaded = False
         self._stage = -1
@@ -89,7 +92,7 @@ class Scene:
         self._rec.send_columns(f"{self._root}/{entity}", times(times_ns), columns)
 
     def _due(self, what: str, times_ns: IntArray, period_ns: int) -> KeptRows:
-        """Return the rows of a block to be sent: the first in each period since the last block."""
+        """Return the rows of a block that are to be sent: the first in each period since the last block."""
         k = every(times_ns, period_ns, self._last.get(what, -1))
         if len(k):
             self._last[what] = int(times_ns[k[-1]] // period_ns)
@@ -107,7 +110,7 @@ class Scene:
             self._log(f"vehicle/{name}", style)
 
     def _legend(self, sections: LoadStations) -> None:
-        """Send a scale of the skin's colours, upright next to the vehicle, against the direction of flight."""
+        """Send a colour scale of the skin, upright next to the vehicle and behind it in the direction of flight."""
         azimuth = math.radians(self._place.site.azimuth_deg)
         forward = np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
         share = np.linspace(0.0, 1.0, 21)
@@ -122,7 +125,7 @@ class Scene:
 
     # -- blocks ----------------------------------------------------------------------------------------------------
     def add(self, channels: Channels) -> None:
-        """Send the rows of a block. Blocks follow one another in time."""
+        """Send the rows of a block. Blocks must follow one another in time."""
         if self._frames is None:
             self._frames = self._place.frames(channels.table, MOTION_NS if self._near else FAR_NS)
         path = path_of(channels, self._frames)
@@ -140,7 +143,9 @@ class Scene:
             self._vehicle(channels)
 
     def mark(self, moments: Sequence[Moment], path: FramePath) -> None:
-        """Send points on the trajectory with names and times; of several close together, the last."""
+        """Send points on the trajectory with names and times. Of several points close together, only the last is
+        sent.
+        """
         if not moments or not len(path.times_ns):
             return
         k = np.clip(np.searchsorted(path.times_ns, [m.time_ns for m in moments]), 0, len(path.times_ns) - 1)
@@ -177,7 +182,7 @@ class Scene:
         self._send("trail", at, rr.LineStrips3D.columns(strips=list(strips), colors=colours, radii=radii))
 
     def _arrows(self, channels: Channels) -> None:
-        """Send the velocity over the ground in its direction, and the wind to scale.
+        """Send arrows of the velocity over the ground, for its direction, and of the wind, to scale.
 
         Both are labelled with their magnitude.
         """
@@ -231,7 +236,7 @@ class Scene:
     def _send_loads(
         self, shape: VehicleShape, sections: LoadStations, channels: Channels, begin_ns: int, end_ns: int
     ) -> None:
-        """Send the colour of each piece by the bending moment in its middle."""
+        """Send the colour of each piece, from the bending moment at its middle."""
         ns = channels.time_ns(SECTION)
         inside = slice(*np.searchsorted(ns, [begin_ns, end_ns + 1]))
         k = self._due(f"loads{self._stage}", ns[inside], ARROWS_NS) + inside.start
@@ -250,7 +255,7 @@ class Scene:
             self._send(f"vehicle/body/hull/stage{self._stage + 1}/piece_{i:02}/skin", ns[k][some], columns)
 
     def _drop(self, shape: VehicleShape, number: int, begin_ns: int, channels: Channels) -> None:
-        """Send the boosters that leave: without thrust and drag they fall behind the core, and drift outwards."""
+        """Send the separated boosters. They fall behind the core without thrust and drag, and drift outwards."""
         if self._stage < 0 or not shape.stages[number].keeps_clock:
             return
         staying = [booster.name for booster in shape.stages[number].boosters]
@@ -283,7 +288,7 @@ class Scene:
         self._rec.reset_time()
 
     def _bend(self, shape: VehicleShape, channels: Channels, begin_ns: int, end_ns: int) -> None:
-        """Send the pieces, engine and liquids of the stage that flies between two times."""
+        """Send the pieces, engines and liquids of the current stage between two times."""
         number, stage = self._stage, shape.stages[self._stage]
         hull = f"vehicle/body/hull/stage{number + 1}"
         ns = channels.time_ns("gimbal_pitch_angle_deg" if "gimbal_pitch_angle_deg" in channels else "cg_station_m")
@@ -317,7 +322,7 @@ class Scene:
         for i, (a, b) in enumerate(itertools.pairwise(joints)):
             start, slope = bent[:, i], (bent[:, i + 1] - bent[:, i]) / (b - a)
             k = changed(bent[:, i : i + 2], _BEND_STEP_M)
-            matrix = np.tile(np.eye(3).ravel(), (len(k), 1))  # column by column
+            matrix = np.tile(np.eye(3).ravel(), (len(k), 1))  # by columns
             matrix[:, 1:3] = -slope[k]
             move = np.concatenate([np.full((len(k), 1), -a), start[k]], axis=1)
             columns = rr.Transform3D.columns(translation=move, mat3x3=matrices(matrix))
@@ -338,7 +343,7 @@ class Scene:
             names = [f"{engine.channels}_{axis}_angle_deg" for axis in PLANES]
             moved = [np.radians(np.nan_to_num(channels[name][k])) for name in names]
             pitch, yaw = pitch + engine.follows[0] * moved[0], yaw + engine.follows[1] * moved[1]
-        # the axis is (cos p cos y, -sin y, sin p cos y); bending turns it by its slope with the station
+        # the axis is (cos p cos y, -sin y, sin p cos y); bending turns it by the slope at the gimbal
         tilt_y, tilt_z = -np.sin(yaw) - slope[:, 0], np.sin(pitch) * np.cos(yaw) - slope[:, 1]
         axis = np.stack([np.ones(len(at)), tilt_y, tilt_z], axis=1)
         axis /= np.linalg.norm(axis, axis=1, keepdims=True)
@@ -383,7 +388,7 @@ class Scene:
         state = np.concatenate([height[:, None] / 2.0, tilt * tank.radius_m, shift.reshape(len(at), -1) / 5.0], axis=1)
         some = some[changed(state[some], _LEVEL_STEP_M)]
         floor = np.full(len(some), -tank.bottom_station_m)
-        # the position of the surface between floor and roof sets its displacement with the bent line
+        # the position of the surface between floor and roof determines its displacement along the bent line
         share = np.clip(height[some] / (tank.bottom_station_m - tank.top_station_m), 0.0, 1.0)[:, None]
         low, high = shift[some, 0], shift[some, 0] * (1.0 - share) + shift[some, 1] * share
         vertices = liquid_vertices(
@@ -394,7 +399,7 @@ class Scene:
 
 
 def _at(channels: Channels, name: str, at_ns: IntArray) -> Array:
-    """Return values of a channel at times of another rate."""
+    """Return the last values of a channel at or before the given times, or zeros without the channel."""
     if name not in channels or not len(channels.time_ns(name)):
         return np.zeros(len(at_ns))
     return channels[name][last_before(channels.time_ns(name), at_ns)]
@@ -404,9 +409,8 @@ def _at(channels: Channels, name: str, at_ns: IntArray) -> Array:
 def send_ground(recording: rr.RecordingStream, place: ShownLaunchSite, reach_m: float, drop_m: float) -> str:
     """Send a grid on the Earth's surface over the range of the flight, and the pad, as static data.
 
-    Return the grid's spacing.
-
-    The simulation begins with the CG at the site's altitude. The ground is drawn `drop_m` lower, under the vehicle.
+    Return the spacing of the grid as text. The simulation begins with the CG at the site's altitude, so the ground is
+    drawn `drop_m` lower, under the vehicle.
     """
 
     def lines(entity: str, strips: Iterable[Array], colour: Sequence[int], radius: Any) -> None:
@@ -436,12 +440,12 @@ def send_ground(recording: rr.RecordingStream, place: ShownLaunchSite, reach_m: 
 
 
 def compass_ends(place: ShownLaunchSite, reach_m: float) -> Array:
-    """Return the ends (2, 3) of the compass's arrows to east and north, m."""
+    """Return the ends of the arrows to east and north, (2, 3), m."""
     return place.ground(np.array([0.12 * reach_m, 0.0]), np.array([0.0, 0.12 * reach_m]))
 
 
 def tail_below_cg(channels: Channels, shape: VehicleShape | None) -> float:
-    """Return the initial distance from the CG to the vehicle's end, m."""
+    """Return the distance from the CG to the aft end of the vehicle at the start of the flight, m."""
     if shape is None or "cg_station_m" not in channels or not len(channels["cg_station_m"]):
         return 0.0
     stage = shape.stages[0]

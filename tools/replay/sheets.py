@@ -1,7 +1,7 @@
 """The standard set of plots for a review: a sheet for each subject, as SVG and PNG, with events, limits and units.
 
-One flight has lines in several colours. A few flights have a colour per flight and dashes per channel. A campaign has
-envelopes over its kept flights, with the nominal flight on top and failed flights in red.
+A single flight has lines in several colours. Of a few flights, each has a colour, and dashes distinguish channels. Many
+flights have envelopes, with the nominal flight on top and failed flights in red.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from maxq.tools.replay.vehicle_shape import PLANES, borne, shape_of
 from maxq.tools.replay.viewer import ReplayError
 
 WIDTH_IN, ROW_IN = 8.0, 1.9
-"""The sizes of a sheet and of one plot in it."""
+"""The width of a sheet, and the height of a plot in it."""
 _SETTINGS = {"lines.linewidth": 1.1, "figure.dpi": 160, "svg.fonttype": "none"}  # text remains searchable
 _LEGEND: dict[str, Any] = {  # in one row above the plot
     "loc": "lower right",
@@ -52,15 +52,15 @@ _LEGEND: dict[str, Any] = {  # in one row above the plot
 }
 _TITLE_LINE_IN = 0.26
 _ENVELOPE_FROM = 6  # number of flights from which an envelope replaces single lines
-_BINS, _POINTS, _THIN_POINTS = 1500, 4000, 1500  # along a sheet: of an envelope, of a line, of one among many
+_BINS, _POINTS, _THIN_POINTS = 1500, 4000, 1500  # points along a sheet: of an envelope, of a line, of a line among many
 _PATH_NS = 100_000_000
 _WINDOW_S, _HIGHEST_HZ, _FLOOR_DB = 2.0, 60.0, -80.0
 _SPECTRA = {f"gyro_{plane}_rate_degps": f"gyro, {plane} rate" for plane in PLANES}
 _SPECTRA |= {f"gimbal_{plane}_angle_deg": f"gimbal, {plane}" for plane in PLANES}
 _IN_PATH = ("max_q", "burnout", "apogee", "impact", "fault", "control_lost", "diverged", "tumble")
 _EVENTS = (*_IN_PATH, "liftoff", "separation")
-_MOST_USED = 3.0  # share of the limit at which a bar ends
-_SECTION_LOADS = (  # title, unit, the column of the limits that bounds it, and its sign
+_MOST_USED = 3.0  # share of the limit at which a bar is cut
+_SECTION_LOADS = (  # title, unit, and the columns of the limits with their signs
     ("axial force", "kN", {"compression_N": -1.0, "tension_N": 1.0}),
     ("shear", "kN", {"shear_N": 1.0}),
     ("bending moment", "kN m", {"bending_moment_Nm": 1.0}),
@@ -70,7 +70,9 @@ _SECTION_LOADS = (  # title, unit, the column of the limits that bounds it, and 
 
 @dataclass(frozen=True)
 class Flights:
-    """The content of a set of sheets. The `reference` (the nominal, or the first) gives events and the thick lines."""
+    """The flights of a set of sheets. The events and thick lines are those of the `reference`: the nominal or first
+    flight.
+    """
 
     all: Sequence[ReplayFlight]
     reference: ReplayFlight
@@ -81,11 +83,15 @@ class Flights:
 
     @property
     def few(self) -> bool:
-        """Return True if the flights are few enough for separate colours."""
+        """Return True if there are several flights, but few enough for separate colours."""
         return 1 < len(self.all) < _ENVELOPE_FROM
 
     def colour(self, flight: ReplayFlight) -> str:
-        """Return a flight's colour: black for the reference, and for a failed one of few flights a shade of red."""
+        """Return the colour of a flight.
+
+        The reference is black. Among few flights, failed flights have shades of red; among many, all flights have the
+        colours of their verdicts.
+        """
         others = [f for f in self.all if f is not self.reference]
         if flight is self.reference:
             return BLACK
@@ -98,7 +104,7 @@ class Flights:
         return good[[f for f in others if f not in failed].index(flight)]
 
     def look(self, flight: ReplayFlight) -> dict[str, Any]:
-        """Return the style of a flight's line in a plot where the flight has one line."""
+        """Return the style of a flight's line in a plot with one line for each flight."""
         if not self.many:
             return {"color": BLUE, "linewidth": 1.4}
         if flight is self.reference:
@@ -109,9 +115,9 @@ class Flights:
 def write_sheets(
     flights: Sequence[ReplayFlight], folder: Path, only: str = "", watch: ConversionWatch = lambda *_: None
 ) -> list[Path]:
-    """Draw all sheets into a folder, which is created. Return the files. Raises ReplayError if the drawing fails.
+    """Draw all sheets into a folder, which is created, and return the paths of the files.
 
-    `only` selects those of one tab by a part of its name.
+    `only` selects the tabs whose name contains it. Raises ReplayError if a file cannot be written.
     """
     shown = Flights(flights, next((f for f in flights if f.is_nominal), flights[0]))
     tabs = tabs_of(shown.reference.log.table, shown.reference.scenario)
@@ -155,7 +161,7 @@ def _sheet(tab: Tab, shown: Flights) -> Figure:
 
 
 def _part(figure: Figure, place: Axes) -> None:
-    """Raise a title that its legend, in the same line, would overlap."""
+    """Raise a title that its legend, on the same line, would overlap."""
     legend = place.get_legend()
     if legend is None:
         return
@@ -168,7 +174,7 @@ def _part(figure: Figure, place: Axes) -> None:
 def _figure(
     name: str, shown: Flights, rows: int, columns: int = 1, height_in: float = ROW_IN, about: str = "", **more: Any
 ) -> tuple[Figure, Sequence[Axes]]:
-    """Return an empty sheet. A line below its title shows the colour of each of a few flights."""
+    """Return an empty sheet. If there are a few flights, a line below its title shows their colours."""
     of = f"{len(shown.all)} flights" if shown.many else shown.reference.label
     figure, places = sheet(rows, columns, height_in, WIDTH_IN, f"{name} - {of}{about}", **more)
     if shown.few:
@@ -183,9 +189,8 @@ def _figure(
 
 
 def _span(tab: Tab, shown: Flights) -> tuple[float, float]:
-    """Return the whole flight for quantities that concern all of it.
-
-    For others, end shortly after burnout, if the rest is zero.
+    """Return the time span of a sheet: the whole flight for `Trajectory` and `Air`, else up to 1.12 times the last
+    burnout.
     """
     start, end = min(f.span_s[0] for f in shown.all), max(f.span_s[1] for f in shown.all)
     burnouts = [m.time_s for f in shown.all if (m := f.moment("burnout")) is not None]
@@ -205,13 +210,13 @@ def _draw(place: Axes, plot: ReplayPlot, shown: Flights, span_s: tuple[float, fl
     place.set_title(plot.title + (f"  [{beyond}]" if beyond else ""))
     place.set_ylabel(plot.unit)
     if len(plot.curves) > 1 or axis.drawn:
-        place.legend(**_LEGEND).set_in_layout(False)  # a long flight does not compress the plot
+        place.legend(**_LEGEND).set_in_layout(False)  # a legend of many names does not compress the plot
 
 
 def _draw_curve(place: Axes, curve: PlotLine, number: int, shown: Flights, span_s: tuple[float, float]) -> list[Array]:
-    """Draw lines of a few flights, or the envelope of many with the failed ones and the reference as lines.
+    """Draw a curve of a few flights as lines, or of many flights as an envelope, and return the values of each flight.
 
-    Return the values.
+    Over an envelope, the reference and the failed flights are drawn as lines.
     """
     span_ns = round(span_s[0] * 1e9), round(span_s[1] * 1e9) + 1
     look = look_of(number)
@@ -245,7 +250,7 @@ def _draw_curve(place: Axes, curve: PlotLine, number: int, shown: Flights, span_
 
 
 def envelope(times_ns: IntArray, values: Array, span_ns: tuple[int, int], bins: int = _BINS) -> tuple[Array, Array]:
-    """Return the smallest and largest value in each of `bins` intervals of a span.
+    """Return the smallest and largest value in each of `bins` intervals of a span, both (bins,).
 
     An interval without samples has the interpolated value.
     """
@@ -261,7 +266,7 @@ def envelope(times_ns: IntArray, values: Array, span_ns: tuple[int, int], bins: 
 
 
 def _draw_limits(place: Axes, axis: PlotAxis) -> None:
-    """Shade and hatch the range outside the limits, so that it is visible without colour."""
+    """Shade and hatch the range beyond the limits, so that it is visible without colour."""
     first = {limit.text: limit for limit in reversed(axis.drawn)}
     for limit in axis.drawn:
         colour, hatch = (LIMIT, "////") if limit.required else (GREY, None)
@@ -272,14 +277,14 @@ def _draw_limits(place: Axes, axis: PlotAxis) -> None:
 
 
 def _mark_events(places: Sequence[Axes], flight: ReplayFlight, span_s: tuple[float, float]) -> None:
-    """Draw vertical lines through all plots, with names above the first."""
+    """Draw vertical lines at the events through all plots, with their names in the first plot."""
     start, width = span_s[0], span_s[1] - span_s[0]
     named: list[float] = []
     low, high = places[0].get_ylim()
     drawn = [np.asarray(line.get_xydata()) for line in places[0].lines]
     curves = np.concatenate([np.zeros((0, 2)), *(points for points in drawn if len(points) > 2)])
     curves[:, 1] = (curves[:, 1] - low) / (high - low)
-    for moment in sorted(flight.moments, key=lambda m: m.level, reverse=True):  # failures get their names first
+    for moment in sorted(flight.moments, key=lambda m: m.level, reverse=True):  # place the names of failures first
         if moment.name not in _EVENTS or not 0.0 <= moment.time_s - start <= width:
             continue
         for place in places:
@@ -298,7 +303,7 @@ def _mark_events(places: Sequence[Axes], flight: ReplayFlight, span_s: tuple[flo
 
 # -- plots that are not over time ------------------------------------------------------------------------------------
 def special_sheets(shown: Flights) -> Iterator[tuple[str, Figure]]:
-    """Return the name of the file and figure of each sheet for which the logs have channels."""
+    """Yield the file name and figure of each sheet that is not over time and for which the logs have channels."""
     reference, has = shown.reference, shown.reference.log
     if moving := [f for f in shown.all if has_motion(f.log)]:
         yield "10-path", _path(Flights(moving, reference))
@@ -391,9 +396,7 @@ def _phase_plane(shown: Flights) -> Figure:
 
 
 def _spectra(channels: Sequence[str], flight: ReplayFlight) -> Figure:
-    """Return the amplitude over time and frequency (a sine of amplitude 1 reads 0 dB), in windows that overlap by
-    3/4.
-    """
+    """Draw the amplitude over time and frequency, in windows that overlap by 3/4. A sine of amplitude 1 has 0 dB."""
     figure, places = _figure("Spectra under thrust", Flights([flight], flight), len(channels))
     for place, channel in zip(places, channels, strict=True):
         time_s, values = flight.log.time_ns(channel) / 1e9, flight.log[channel]
@@ -420,7 +423,7 @@ def _spectra(channels: Sequence[str], flight: ReplayFlight) -> Figure:
 
 
 def _name_modes(place: Axes, flight: ReplayFlight, axis: str, times_s: Array) -> None:
-    """Name the frequencies of the first stage's bending modes by its table, without axial load and air."""
+    """Draw and name the frequencies of the first stage's bending modes from its table, without axial load and air."""
     if flight.scenario is None:
         return
     stage = shape_of(flight.scenario.vehicle).stages[0]
@@ -438,7 +441,7 @@ def _name_modes(place: Axes, flight: ReplayFlight, axis: str, times_s: Array) ->
 
 
 def _requirements(shown: Flights) -> Figure:
-    """Return the used share of each requirement's limit as a bar, the largest first."""
+    """Draw the utilisation of each requirement as a bar, in the order of the reference flight's utilisation."""
     names = [r.name for r in tightest_first(shown.reference.requirements)]
     figure, (place,) = _figure("Requirements", shown, 1, 1, 0.32 * max(len(names), 3))
     widest = 1.2
@@ -468,9 +471,7 @@ def _requirements(shown: Flights) -> Figure:
 
 
 def _sections(shown: Flights, stage: int, loads: LoadsSection) -> Figure:
-    """Draw the envelopes of the section loads over the stations, on the pad and under thrust, with the permissible
-    loads.
-    """
+    """Draw the envelopes of the section loads over the stations, on the pad and under thrust, with their limits."""
     radius, stations = borne(loads, "radius_m"), np.array(loads.stations_m)
     rows = _SECTION_LOADS if radius is not None else _SECTION_LOADS[:3]
     figure, places = _figure(f"Section loads, stage {stage + 1}", shown, len(rows))

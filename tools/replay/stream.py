@@ -1,8 +1,8 @@
 """The sending of data to a recording over time: curves decimated to their extremes, limits, events and phases.
 
-A campaign would need thousands of entities, one for each curve of each flight, and the viewer would need a minute for
-them. Therefore, the curves of many flights are sent as families: an entity for each curve with a line for each flight
-in it.
+With an entity for each curve of each flight, a campaign would need thousands of entities, and the viewer a minute to
+load them. Therefore, the curves of many flights are sent as families: an entity for each curve, with a line for each
+flight.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from maxq.tools.replay.plots import Limit, PlotAxis, PlotLine, ReplayPlot, Tab
 TIMELINE = "sim_time"
 APPLICATION = "maxq"
 FAMILY = "family"
-"""The root of the curves of many flights."""
+"""The root of the entities for the curves of many flights."""
 FAMILY_FROM = 20
-"""The number of flights, apart from those seen closely, from which on they become families."""
+"""The number of flights without a drawn vehicle from which on their curves are sent as families."""
 PHASES = {
     "held down": GREY,
     "powered": ORANGE,
@@ -50,16 +50,16 @@ _BEGUN_BY = {
     "diverged": "diverged",
 }
 _WORSE = ("control lost", "tumbling")
-_EVENT_WIDTH = 46  # number of letters in a row of the list of events, at 1920 pixels
-_TEETH = 240  # of the hatching over the whole flight
+_EVENT_WIDTH = 46  # characters in a row of the list of events, at 1920 pixels
+_TEETH = 240  # teeth of the hatching over the whole flight
 WIDTHS = (3.2, 1.8, 1.0, 0.5)
-"""The widths of the curves of a flight that have one name in the legend."""
-_MIN_MAX = rr.components.AggregationPolicy.MinMax  # the viewer must not average extremes away when it zooms out
+"""The widths of the curves of a flight that share one name in the legend."""
+_MIN_MAX = rr.components.AggregationPolicy.MinMax  # keep the extremes when the viewer zooms out
 
 
 # -- columns -------------------------------------------------------------------------------------------------------
 def times(times_ns: IntArray) -> list[rr.TimeColumn]:
-    """Return the time column of `send_columns`."""
+    """Return the time column for `send_columns`."""
     return [rr.TimeColumn(TIMELINE, duration=times_ns.astype("timedelta64[ns]"))]
 
 
@@ -68,8 +68,9 @@ def set_time(recording: rr.RecordingStream, time_ns: int) -> None:
 
 
 def matrices(columns: Array) -> pa.Array:
-    """Return matrices (n, 9), column by column, for `Transform3D.columns`, which would convert other forms one by
-    one.
+    """Return matrices (n, 9), in column-major order, for `Transform3D.columns`.
+
+    That function would convert other forms one by one.
     """
     kind = rr.components.TransformMat3x3Batch(np.eye(3)).pa_array.type
     return pa.FixedSizeListArray.from_arrays(pa.array(columns.astype("f4").ravel()), type=kind)
@@ -81,7 +82,7 @@ def send_scalars(recording: rr.RecordingStream, entity: str, times_ns: IntArray,
 
 # -- curves --------------------------------------------------------------------------------------------------------
 def _curves(root: str, tabs: Sequence[Tab]) -> Iterator[tuple[str, int, ReplayPlot, PlotLine]]:
-    """Return the entity and number of every curve of these tabs."""
+    """Yield the entity, the index within its plot, the plot and the line of every curve of these tabs."""
     for tab in tabs:
         for plot in tab.plots:
             for i, curve in enumerate(plot.curves):
@@ -97,10 +98,11 @@ def send_styles(
     alpha: float = 1.0,
     by_width: Collection[str] = (),
 ) -> None:
-    """Send the names and colours: one `colour` for all curves of a flight, or one for each (None).
+    """Send the names, colours and widths of a flight's curves.
 
-    `prefix` precedes the names. In the plots `by_width` (keys), it is the name of all curves, which the viewer's legend
-    lists once; the curves differ in their width (`send_widths`).
+    `colour` applies to all curves (None: a separate colour for each). `prefix` precedes the names. In the plots
+    `by_width` (keys), it is the name of all curves, which the viewer's legend lists once; there, the curves differ in
+    width (`send_widths`).
     """
     for entity, i, plot, curve in _curves(root, tabs):
         own, merged = rgba(colour or ON_DARK[i % len(ON_DARK)], alpha), plot.key in by_width
@@ -110,12 +112,12 @@ def send_styles(
 
 
 def width_text(plot: ReplayPlot) -> str:
-    """Return the legend's entry for curves that differ in their width."""
+    """Return the entry in the legend for curves that differ in width."""
     return f"thick to thin: {', '.join(curve.label for curve in plot.curves)}"
 
 
 def send_widths(recording: rr.RecordingStream, plot: ReplayPlot, time_ns: int) -> None:
-    """Send a curve without values, whose name in the legend is the order of the widths of a plot's curves."""
+    """Send a curve without values whose name in the legend is the order of the widths of a plot's curves."""
     entity = f"{limits_root(plot)}/widths"
     recording.log(entity, rr.SeriesLines(names=width_text(plot), colors=rgba(GREY, 1.0), widths=1.0), static=True)
     send_scalars(recording, entity, np.array([time_ns]), np.array([np.nan]))
@@ -124,7 +126,7 @@ def send_widths(recording: rr.RecordingStream, plot: ReplayPlot, time_ns: int) -
 def send_curves(
     recording: rr.RecordingStream, root: str, tabs: Sequence[Tab], channels: Channels, interval_ns: int
 ) -> None:
-    """Send the samples of a block or of a whole log."""
+    """Send the curves of a block or of a whole log, decimated to their extremes in intervals of `interval_ns`."""
     for entity, _, _, curve in _curves(root, tabs):
         ns, values = curve.values(channels)
         if len(ns):
@@ -133,11 +135,11 @@ def send_curves(
 
 
 class Family:
-    """A collection of the curves of many flights, to be sent together.
+    """A collection of the curves of many flights that are sent together.
 
-    Lines of one entity share their times. Therefore, every interval gives two rows, at a quarter and three quarters of
-    it, with its smallest and its largest value in the order of the trend. No value is changed, but its time may be off
-    by up to three quarters of an interval.
+    All lines of an entity share their times. Therefore, every interval has two rows, at a quarter and at three quarters
+    of its length. They contain its smallest and largest value in the order of the trend. No value is changed, but the
+    time of a value may be wrong by up to three quarters of an interval.
     """
 
     def __init__(self, span_s: tuple[float, float], interval_ns: int) -> None:
@@ -147,7 +149,7 @@ class Family:
         self._lines: dict[tuple[str, str], list[tuple[str, str, Array]]] = {}
 
     def add(self, label: str, colour: str, tabs: Sequence[Tab], channels: Channels) -> None:
-        """Add a flight's curves in these tabs, named after it."""
+        """Add a flight's curves in these tabs, named by its label."""
         for _, _, plot, curve in _curves("", tabs):
             ns, values = curve.values(channels)
             rows = extremes_on_grid(ns, values, self._start_ns, self._interval_ns, self._count)
@@ -187,10 +189,9 @@ def send_limits(
     *,
     styled: bool = True,
 ) -> None:
-    """Send a line at each limit between two times, and hatching on the forbidden side up to the end of the axis, if it
-    is known.
+    """Send a line at each limit between two times and, if the axis is known, hatching beyond the limit.
 
-    A running flight sends them piece by piece. `styled` is True the first time.
+    A running flight sends the limits piece by piece; `styled` is True only for the first piece.
     """
     ends = np.array(span_ns, np.int64)
     along = np.linspace(*span_ns, 2 * _TEETH + 1).astype(np.int64)
@@ -209,7 +210,7 @@ def send_limits(
 
 
 # -- read-outs -----------------------------------------------------------------------------------------------------
-_READ = {  # channel, factor to the unit, decimals
+_READ = {  # channel, factor to the unit, number of decimals
     "altitude, km": ("altitude_m", 1e-3, 2),
     "speed, m/s": ("speed_mps", 1.0, 1),
     "Mach number": ("mach", 1.0, 2),
@@ -221,7 +222,7 @@ _READ = {  # channel, factor to the unit, decimals
 
 
 def send_now(recording: rr.RecordingStream, flights: Sequence[tuple[str, Channels]]) -> None:
-    """Send a table of the key numbers every fifth of a second, with a column for each flight."""
+    """Send a table of the key values every fifth of a second, with a column for each flight."""
     rows = [(what, how) for what, how in _READ.items() if any(how[0] in channels for _, channels in flights)]
     known = [channels.time_ns(name) for _, channels in flights for _, (name, *_) in rows if name in channels]
     known = [ns for ns in known if len(ns)]
@@ -251,14 +252,14 @@ def send_now(recording: rr.RecordingStream, flights: Sequence[tuple[str, Channel
 # -- events and phases ---------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Phase:
-    """A part of a flight with a usual name, from `start_ns` on."""
+    """A phase of a flight, such as `powered`, from `start_ns` on."""
 
     name: str
     start_ns: int
 
 
 def first_phase(channels: Channels, start_ns: int) -> Phase:
-    """Return the first phase of a flight, from its first sample."""
+    """Return the phase at the start of a flight, from its first sample."""
 
     def first(name: str) -> float:
         return float(channels[name][0]) if name in channels and len(channels[name]) else 0.0
@@ -271,7 +272,7 @@ def first_phase(channels: Channels, start_ns: int) -> Phase:
 
 
 def phases(first: Phase, moments: Iterable[Moment]) -> list[Phase]:
-    """Return the phases in order. After a loss of control, only the end follows."""
+    """Return the phases of a flight in order. After a loss of control, only worse phases or the end follow."""
     out = [first]
     for moment in sorted(moments, key=lambda m: m.time_ns):
         name, now = _BEGUN_BY.get(moment.name), out[-1].name
@@ -286,7 +287,10 @@ def phases(first: Phase, moments: Iterable[Moment]) -> list[Phase]:
 def send_events(
     recording: rr.RecordingStream, flights: Sequence[tuple[str, Iterable[Moment]]], start_ns: int, note: str = ""
 ) -> None:
-    """Send a table of the events of flights, each with its label. At each time, the last event so far is bold."""
+    """Send a table of the events of the flights at the time of each event, with this event in bold.
+
+    `flights` contains labels and events. `note` is written below the table.
+    """
     every = sorted(((m, label) for label, moments in flights for m in moments), key=lambda each: each[0].time_ns)
     several = len(flights) > 1
     head = ["| time, s | flight | event |", "|--:|---|---|"] if several else ["| time, s | event |", "|--:|---|"]
@@ -304,7 +308,7 @@ def send_events(
 
 
 def send_phases(recording: rr.RecordingStream, root: str, some: Iterable[Phase], *, styled: bool) -> None:
-    """Send the phases as a band of colours."""
+    """Send the phases `some` as a band of colours. `styled` is True the first time, to send the colours as well."""
     if styled:
         names, colours = list(PHASES), [rgba(colour) for colour in PHASES.values()]
         recording.log(f"{root}/phase", rr.StateConfiguration(values=names, labels=names, colors=colours), static=True)

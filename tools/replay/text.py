@@ -1,4 +1,4 @@
-"""Flights in words: the page next to the views of the viewer, and the summary in a terminal."""
+"""Texts on flights: the page next to the views of the viewer, and the summary in a terminal."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _NARROWEST, _WIDEST = 20, 100
 
 # -- next to the pictures ------------------------------------------------------------------------------------------
 def about(flights: Sequence[ReplayFlight], drawn: Sequence[str]) -> str:
-    """Return a Markdown page on one flight or several, which ends with the section `drawn`."""
+    """Return a Markdown page on one flight or several, which ends with the lines `drawn`."""
     if len(flights) == 1:
         return "\n".join([*_about_flight(flights[0]), *drawn])
     lines = [f"# {len(flights)} flights", "", "| flight | outcome | verdict |", "|---|---|---|"]
-    for f in flights:  # the reasons of many would require reading every log again
+    for f in flights:  # the reasons for many flights would require reading every log again
         verdict = _verdict(f) if len(flights) <= FEW else _VERDICTS[f.verdict].partition(":")[0]
         lines.append(f"| {f.label} | {f.outcome} at {f.span_s[1]:.1f} s | {verdict} |")
     if len(flights) > len(ON_DARK):  # otherwise each has its own colour
@@ -59,7 +59,7 @@ def _about_flight(flight: ReplayFlight) -> list[str]:
 
 
 def _verdict(flight: ReplayFlight) -> str:
-    """Return the verdict with its decisive requirement: "FAILED: slosh 11.2 deg, limit 10 deg"."""
+    """Return the verdict with its decisive requirement, such as "FAILED: slosh 11.2 deg, limit 10 deg"."""
     verdict = _VERDICTS[flight.verdict]
     missed = [r for r in tightest_first(flight.requirements) if r.met is False]
     if not missed or flight.verdict != "failed":
@@ -70,7 +70,7 @@ def _verdict(flight: ReplayFlight) -> str:
 
 
 def _went_wrong(flights: Sequence[tuple[str, ReplayFlight]]) -> list[str]:
-    """Return warnings and more severe events in whole sentences, which the narrow list of events truncates."""
+    """Return a section with all warnings and failures in whole sentences, which the narrow list of events folds."""
     said = [f"- {name}{m.line.strip()}" for name, f in flights for m in f.moments if m.level >= Level.WARNING]
     return ["## Problems", "", *said, ""] if said else []
 
@@ -87,7 +87,7 @@ def _requirement(r: ShownRequirement) -> str:
 
 
 def drawn_text(ex: Exaggeration, place: ShownLaunchSite | None = None) -> list[str]:
-    """Return the section on scales and colours of the picture."""
+    """Return the section on the scales and colours of the picture."""
     moved = ["- Axes: east, north, up at the start of the flight, which is far from the site."]
     return [
         "## Scales and colours",
@@ -108,7 +108,7 @@ def drawn_text(ex: Exaggeration, place: ShownLaunchSite | None = None) -> list[s
 # -- in a terminal -------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class _TextRow:
-    """A curve of the summary. `broken` is True if it exceeds the scenario's limits under thrust."""
+    """A curve of the summary. `broken` is True if it exceeds a limit of the scenario under thrust."""
 
     name: str
     ns: IntArray
@@ -118,8 +118,10 @@ class _TextRow:
 
 
 def summary_text(flight: ReplayFlight, width: int | None = None, ascii_only: bool | None = None) -> str:
-    """Return plain text of at most `width` columns (default: the terminal's): events, requirements, the key channels as
-    lines of small blocks.
+    """Return a summary of a flight in plain text: events, missed requirements, and the key channels as sparklines.
+
+    It has at most `width` columns, by default those of the terminal. `ascii_only` avoids block characters, by default
+    if the terminal cannot print them.
     """
     width = width or shutil.get_terminal_size((100, 24)).columns
     if ascii_only is None:
@@ -179,9 +181,9 @@ def _row(plot: ReplayPlot, curve: PlotLine, flight: ReplayFlight) -> _TextRow | 
 
 
 def sparkline(ns: IntArray, values: Array, span_ns: tuple[int, int], cells: int, blocks: str = _BLOCKS) -> str:
-    """Return a character for each of `cells` intervals.
+    """Return a text with one character for each of `cells` intervals.
 
-    For an oscillation, it shows the largest excursion, so that no peak is lost.
+    In an interval with an oscillation, it shows the largest excursion from the median, so that no peak is lost.
     """
     found, finite = range_of([values]), np.isfinite(values)
     if found is None:

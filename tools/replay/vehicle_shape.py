@@ -1,9 +1,9 @@
-"""The shape of a vehicle, from its TOML. Stations are metres aft of the nose.
+"""The shape of a vehicle, from its TOML file. Stations are in metres aft of the nose.
 
-The file contains length and diameter, the gimbal, the nozzle's exit, the tanks with their levels, and the positions of
-nose and fins. Missing parts are assumed. The nose is a tangent ogive whose length gives the nose's centre of pressure
-in the file. Four trapezoidal fins of customary proportions are centred at the station of the fins' force. Bending is
-mode shapes times modal coordinates, exaggerated.
+The file contains length and diameter, the gimbal, the nozzle exit, the tanks with their levels, and the stations of the
+forces on nose and fins. Missing dimensions are assumed. The nose is a tangent ogive whose length is consistent with its
+centre of pressure. Four trapezoidal fins of usual proportions are placed by the station of their force. Bending is the
+sum of mode shapes times modal coordinates, exaggerated.
 """
 
 from __future__ import annotations
@@ -27,17 +27,19 @@ from maxq.sim.vehicle.modes.tables import ModeTable
 from maxq.tools.replay.decimate import KeptRows, every
 from maxq.tools.replay.flight import Channels
 
-PIECES = 16  # of the body, each straight: enough for the third bending mode
+PIECES = 16  # straight pieces of the body: enough for the third bending mode
 PLANES = ("pitch", "yaw")
 SECTION = "section_1_bending_pitch_Nm"  # a channel of every log with section loads
 _FACTORS = [step * 10.0**power for power in range(6) for step in (1.0, 2.0, 5.0)]
-_LARGEST = 0.35  # of the diameter: largest bending by the automatic factor
+_LARGEST = 0.35  # largest bending by the automatic factor, as a share of the diameter
 _STEEPEST_DEG = 25.0  # largest tilt of a surface by the automatic factor
 
 
 @dataclass(frozen=True)
 class TankShape:
-    """A cylindrical tank. `level` is (times on the stage clock, heights) of the liquid above the bottom."""
+    """A cylindrical tank. `level` contains times on the stage's clock (s) and heights of the liquid above the bottom
+    (m).
+    """
 
     name: str
     radius_m: float
@@ -48,8 +50,9 @@ class TankShape:
 
 @dataclass(frozen=True)
 class Fins:
-    """A set of `count` equal trapezoidal fins: stations of the leading edge at root and tip, chords, and radii of root
-    and tip.
+    """A set of `count` equal trapezoidal fins.
+
+    The stations are those of the leading edge at root and tip; radii are measured from the axis of the body.
     """
 
     count: int
@@ -65,7 +68,8 @@ class Fins:
 class EngineShape:
     """An engine.
 
-    `channels` is the prefix of its gimbal's channels, and `follows` contains the planes in which it moves.
+    `channels` is the prefix of the channels of its gimbal angles. `follows` is True for each plane, pitch and yaw, in
+    which it moves.
     """
 
     gimbal_station_m: float
@@ -79,14 +83,16 @@ class EngineShape:
 
 @dataclass(frozen=True)
 class LoadStations:
-    """The stations at which section loads are known, and the permissible bending moment, if it is known."""
+    """The stations at which section loads are known, and the limits of the bending moment there, if they are known."""
 
     station_m: Array
     limit_Nm: Array | None
 
     def shares(self, moments_Nm: Array, largest_Nm: float, at_m: Array) -> Array:
-        """Return the shares of moments (times, stations) in the limit, or in the largest of all, at places (times,
+        """Return the utilisation of the limit by moments (times, stations) at places `at_m`, as an array (times,
         places).
+
+        Without limits, it is the share of `largest_Nm`.
         """
         of = moments_Nm / (self.limit_Nm if self.limit_Nm is not None else max(largest_Nm, 1e-9))
         return np.array([np.interp(at_m, self.station_m, row) for row in of]).reshape(len(of), len(at_m))
@@ -94,7 +100,9 @@ class LoadStations:
 
 @dataclass(frozen=True)
 class BoosterShape:
-    """A booster: station and radius from the front to the end (n, 2), and the position of its axis, y and z."""
+    """A booster. `profile` (n, 2) contains station and radius from the front to the end; `position_m` is y and z of its
+    axis.
+    """
 
     name: str
     profile: Array
@@ -105,8 +113,8 @@ class BoosterShape:
 class StageShape:
     """The part of the body that is dropped at the end of this stage, and its contents.
 
-    `profile` (n, 2) lists station and radius from the front to the end. `modes` are pitch and yaw, on the stage clock,
-    of the whole vehicle while this stage flies.
+    `profile` (n, 2) contains station and radius from the front to the end. `modes` are those of the whole vehicle in
+    pitch and yaw while this stage flies, over the stage's clock.
     """
 
     profile: Array
@@ -124,7 +132,7 @@ class StageShape:
 
     @property
     def nozzles(self) -> list[tuple[str, EngineShape]]:
-        """Return all engines by the names of their entities."""
+        """Return the names of the entities of all engines, with the engines."""
         first = [("engine", self.engine)] if self.engine is not None else []
         return first + [(f"engine_{n}", engine) for n, engine in enumerate(self.further_engines, start=2)]
 
@@ -152,7 +160,7 @@ def shape_of(vehicle: Vehicle) -> VehicleShape:
     """Return the shape of a vehicle with any number of stages."""
     length, radius = vehicle.reference.length_m, 0.5 * vehicle.reference.diameter_m
     ends = [_end(stage, length if k == 0 else math.inf) for k, stage in enumerate(vehicle.stage)]
-    for k in range(len(ends) - 2, -1, -1):  # a stage ends at the beginning of the one before it in flight
+    for k in range(len(ends) - 2, -1, -1):  # a stage ends, at the front, where the next one in flight begins
         ends[k] = max(ends[k], ends[k + 1])
     if math.isinf(ends[-1]):
         ends = [length * (len(ends) - k) / len(ends) for k in range(len(ends))]
@@ -181,7 +189,9 @@ def shape_of(vehicle: Vehicle) -> VehicleShape:
 
 
 def _booster(booster: Booster, body_radius: float) -> BoosterShape:
-    """Return the shape of a booster that touches the body. Its length is that of a uniform rod with its inertia."""
+    """Return the shape of a booster that touches the body. Its length is that of a uniform rod with its moment of
+    inertia.
+    """
     y, z = booster.position_m
     radius = max(math.hypot(y, z) - body_radius, 0.2 * body_radius)
     kg, station_m, _, _, _, lateral, *_ = booster.mass.rows(0.0)[1][0]
@@ -199,7 +209,7 @@ def _sections(loads: LoadsSection | None) -> LoadStations | None:
 
 
 def borne(loads: LoadsSection, column: str) -> Array | None:
-    """Return a column of the limits at the stations, the least over time, or None without limits."""
+    """Return a column of the limits at the load stations, the least over time, or None without such limits."""
     table = loads.limits
     if table is None or column not in table:
         return None
@@ -209,7 +219,7 @@ def borne(loads: LoadsSection, column: str) -> Array | None:
 
 
 def _end(stage: Stage, otherwise: float) -> float:
-    """Return the end of a stage's skin, slightly aft of the gimbal, so that the engine is visible."""
+    """Return the station of the end of a stage's skin, slightly aft of the gimbal, so that the engine is visible."""
     ends = [e.gimbal_station_m + 0.1 * max(e.exit_station_m - e.gimbal_station_m, 0.0) for e in stage.engines]
     return max(ends, default=otherwise)
 
@@ -224,7 +234,7 @@ def _nose(stage: Stage, radius: float, end: float) -> Array:
     surface = _surface(stage, "nose")
     length = 1.5 * float(np.median(surface.table["station_m"])) if surface is not None else 5.0 * radius
     length = min(max(length, radius), 0.5 * end)
-    if end <= 4.0 * radius:  # no rocket: a ball or a brick
+    if end <= 4.0 * radius:  # not a launcher, but a ball or a brick
         length = min(radius, 0.5 * end)
     rho = (radius * radius + length * length) / (2.0 * radius)
     stations = length * (1.0 - np.cos(np.linspace(0.0, 0.5 * math.pi, 14)))
@@ -236,7 +246,7 @@ def _body(nose: Array, radius: float, front: float, end: float) -> Array:
     if front > 0.0:
         return np.array([[front, radius], [end, radius]])
     tail = np.array([[end, radius]])
-    if end <= 4.0 * radius:  # the ball: the nose at both ends
+    if end <= 4.0 * radius:  # a ball, with the nose at both ends
         tail = nose[::-1] * [-1.0, 1.0] + [end, 0.0]
         tail = tail[tail[:, 0] > nose[-1, 0]]
     return np.concatenate([nose, tail])
@@ -290,7 +300,7 @@ def _engine(stage: Stage, number: int) -> EngineShape:
 
 # -- bending and slosh ---------------------------------------------------------------------------------------------
 def modal_coordinates(channels: Channels, plane: str, at: KeptRows | slice = slice(None)) -> Array:
-    """Return the displacement coordinates (n, modes) of a plane, with nan (a stage with fewer modes) as zero."""
+    """Return the modal displacements (n, modes) of a plane, with zeros for the modes that a stage does not have."""
     names = [name for name in channels.table.names if name.startswith(f"eta_{plane}_") and name.endswith("_m")]
     if not names:
         return np.zeros((0, 0))
@@ -298,8 +308,9 @@ def modal_coordinates(channels: Channels, plane: str, at: KeptRows | slice = sli
 
 
 def shapes_at(table: ModeTable, clock_s: Array, stations_m: Array, column: str = "phi") -> Array:
-    """Return mode shapes (n, modes, stations), or their slopes, at stage times (n,) and stations, linear between the
-    rows.
+    """Return mode shapes (n, modes, stations) at stage times (n,) and stations, linear between the rows of the table.
+
+    `column` is "phi" for the shapes or "slope_pm" for their slopes.
     """
     values: Array = getattr(table, column)
     at = np.clip(stations_m, table.station_m[0], table.station_m[-1])
@@ -319,10 +330,10 @@ def bent_line(
     column: str = "phi",
     spatial: Array | None = None,
 ) -> Array:
-    """Return the displacement (n, stations, 2) of the axis along body y and z, true to scale, with `slope_pm` its
-    slope.
+    """Return the displacement (n, stations, 2) of the axis along body y and z, without exaggeration.
 
-    `pitch`, `yaw` and `spatial` are coordinates (n, modes) of each kind of modes.
+    `pitch`, `yaw` and `spatial` are the modal coordinates (n, modes) of each kind of mode. With `column` "slope_pm",
+    the result is the slope of the axis.
     """
     out = np.zeros((len(clock_s), len(stations_m), 2))
     moves = [(0, stage.modes[1], yaw), (1, stage.modes[0], pitch)]
@@ -336,7 +347,7 @@ def bent_line(
 
 
 def nice_factor(largest_m: float, wanted_m: float) -> float:
-    """Return the largest of 1, 2, 5, 10, 20, ... that keeps `largest_m` times it below `wanted_m`, or 1 without
+    """Return the largest of 1, 2, 5, 10, 20, ... whose product with `largest_m` is at most `wanted_m`, or 1 without
     bending.
     """
     if not 0.0 < largest_m < wanted_m:
@@ -353,7 +364,7 @@ class Exaggeration:
     most_m: float
 
     def text(self, table: ChannelTable) -> str:
-        """Return the factors in a few words, as far as the vehicle has the parts."""
+        """Return the factors that apply to the vehicle, in a few words."""
         factors = (("eta_", "bending", self.bending), ("slosh_", "slosh", self.slosh))
         has = [f"{what} x{x:g}" for start, what, x in factors if any(name.startswith(start) for name in table.names)]
         return ", ".join([*has, *(["skin: bending moment"] if SECTION in table.names else [])])
@@ -372,7 +383,7 @@ def exaggeration_of(
 
 
 def _largest_bending_m(channels: Channels, shape: VehicleShape | None) -> float:
-    """Return the largest bending over all stations, at 100 Hz."""
+    """Return the largest bending of the first stage's vehicle over its joints, from samples at 100 Hz."""
     name = next((name for name in channels.table.names if name.startswith("eta_")), None)
     if shape is None or name is None:
         return 0.0
@@ -385,7 +396,7 @@ def _largest_bending_m(channels: Channels, shape: VehicleShape | None) -> float:
 
 
 def _largest_slosh_deg(channels: Channels) -> float:
-    """Return the largest pendulum angle under thrust. Without thrust, a pendulum has no equilibrium."""
+    """Return the largest pendulum angle until the end of thrust. Without thrust, a pendulum has no equilibrium."""
     end_ns = np.iinfo(np.int64).max
     if "thrust_N" in channels and (burning := channels["thrust_N"] > 0.0).any():
         end_ns = int(channels.time_ns("thrust_N")[burning][-1])

@@ -1,9 +1,9 @@
-"""The Rerun viewer as a separate program: on the desktop, in a browser, or without any display.
+"""The Rerun viewer as a separate program: on the desktop, in a browser, or without a display.
 
-The viewer listens on 127.0.0.1 only and reports no data. It runs with a separate configuration folder, in which the
-collection of usage data is switched off. A viewer without a window that outlives its command would occupy memory and a
-port unnoticed. `finally` ends it as a rule, but not after SIGKILL. In that case, Linux kills the child. On other
-systems, a parent that is killed leaves its child running.
+The viewer listens on 127.0.0.1 only. It runs with a separate configuration folder in which the collection of usage data
+is disabled. A viewer without a window that outlives its command would occupy memory and a port unnoticed. `finally`
+ends it, except after SIGKILL; in that case, Linux kills the child. On other systems, a parent that is killed leaves its
+viewer running.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _KEPT_HEADERS = ("content-type", "content-encoding", "cache-control", "etag")
 
 
 class ReplayError(CommandError):
-    """An error that prevents a display. The text gives the reason and the remedy."""
+    """An error that prevents the display of flights. Its text gives the reason and the remedy."""
 
 
 def check_installed() -> None:
@@ -55,7 +55,7 @@ def check_installed() -> None:
 
 
 def executable() -> Path:
-    """Return the viewer of the Python package. Raises ReplayError if it is missing."""
+    """Return the path of the viewer's program in the Python package. Raises ReplayError if it is missing."""
     found = importlib.util.find_spec("rerun_cli")
     for folder in (found.submodule_search_locations or ()) if found is not None else ():
         for path in (Path(folder) / "rerun", Path(folder) / "rerun.exe"):
@@ -65,13 +65,13 @@ def executable() -> Path:
 
 
 def _not_installed() -> ReplayError:
-    """Return the error that names the versions which this installation of maxq requires."""
+    """Return the error for a missing viewer, which states the versions that this installation of maxq requires."""
     wanted = next(line for line in importlib.metadata.requires("maxq") or () if line.startswith("rerun-sdk"))
     return ReplayError(f"the Rerun viewer is not installed; install it with: pip install '{wanted}'")
 
 
 def environment() -> dict[str, str]:
-    """Return the environment of the viewer: no usage data, no log output, a run-time folder even if none is set.
+    """Return the environment of the viewer: without usage data and log output, and with a run-time folder.
 
     Raises ReplayError if the viewer cannot be run.
     """
@@ -93,8 +93,10 @@ def environment() -> dict[str, str]:
 
 
 def _own_config() -> Path:
-    """Return a folder next to the kernels of `control/kernel/jit.py`, a module that takes a quarter of a second to
-    load.
+    """Return the viewer's configuration folder. It is in the cache folder of maxq or, if this is not possible,
+    temporary.
+
+    The cache folder is also that of `control/kernel/jit.py`, a module that takes a quarter of a second to load.
     """
     user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     folder = Path(os.environ.get("MAXQ_CACHE") or os.path.join(user, "maxq")) / "viewer"
@@ -123,7 +125,7 @@ def free_port() -> int:
 
 
 def check_port(port: int) -> None:
-    """Raise ReplayError if another program listens already."""
+    """Raise ReplayError if the port is not valid or if another program listens on it."""
     if not 0 < port < 65536:
         raise ReplayError(f"--port {port}: a port is a number from 1 to 65535")
     if not port_is_free(port):
@@ -141,8 +143,10 @@ def check_display() -> None:
 
 # -- processes -------------------------------------------------------------------------------------------------------
 def _bind_to(parent: int) -> Callable[[], None] | None:
-    """Return the function that a child runs between fork and exec. prctl is looked up before, since few calls are safe
-    there.
+    """Return a function for a child to run between fork and exec, so that Linux kills it with its parent; None
+    elsewhere.
+
+    prctl is looked up in advance, since few calls are safe between fork and exec.
     """
     if not sys.platform.startswith("linux"):
         return None
@@ -150,7 +154,7 @@ def _bind_to(parent: int) -> Callable[[], None] | None:
 
     def bind() -> None:
         prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
-        if os.getppid() != parent:  # the parent has died in between
+        if os.getppid() != parent:  # the parent has ended in the meantime
             os._exit(1)
 
     return bind
@@ -160,14 +164,15 @@ def _bind_to(parent: int) -> Callable[[], None] | None:
 def _viewer(*options: str, quiet: bool = True) -> Iterator[subprocess.Popen[bytes]]:
     """Run a viewer with these options. It ends with the block, the calling thread or its process.
 
-    With `quiet`, its stderr can be read; otherwise its output goes to that of the command. Raises ReplayError, OSError.
+    With `quiet`, its stderr can be read; otherwise its output goes to that of the command. Raises ReplayError and
+    OSError.
     """
     process = subprocess.Popen(
         [str(executable()), *options, "--bind", LOCAL],
         env=environment(),
         stdout=subprocess.DEVNULL if quiet else None,
         stderr=subprocess.PIPE if quiet else None,
-        preexec_fn=_bind_to(os.getpid()),  # noqa: PLW1509  # it calls C only and takes no lock
+        preexec_fn=_bind_to(os.getpid()),  # noqa: PLW1509  # calls C only and takes no lock
     )
     try:
         yield process
@@ -207,14 +212,14 @@ def _last_words(process: subprocess.Popen[bytes]) -> str:
 
 # -- ways to show something ------------------------------------------------------------------------------------------
 def show(rrd: Path) -> None:
-    """Open a recording in a window and wait until it is closed. Raises ReplayError if the viewer fails."""
+    """Open a recording in a window and wait until the window is closed. Raises ReplayError if the viewer fails."""
     with _viewer(str(rrd), "--port", str(free_port()), "--hide-welcome-screen", quiet=False) as process:
         if code := process.wait():
             raise ReplayError(f"the Rerun viewer ended with code {code}; --web or --screenshot may do instead")
 
 
 def listening(port: int | None) -> int | None:
-    """Return `port`, on which a viewer listens, or None if a window is requested and a display is available.
+    """Return `port` if a viewer listens on it, or None if a new window (`port` None) can be opened.
 
     Raises ReplayError otherwise.
     """
@@ -227,7 +232,10 @@ def listening(port: int | None) -> int | None:
 
 
 def window(port: int) -> subprocess.Popen[bytes]:
-    """Open a window that waits for a flight on `port`. It stays open after the command ends. Raises ReplayError."""
+    """Open a window that waits for a flight on `port`, and return its process. It stays open after the command ends.
+
+    Raises ReplayError.
+    """
     command = [str(executable()), "--bind", LOCAL, "--port", str(port), "--hide-welcome-screen", "--expect-data-soon"]
     process = subprocess.Popen(
         command, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True
@@ -238,7 +246,7 @@ def window(port: int) -> subprocess.Popen[bytes]:
 
 @contextlib.contextmanager
 def served(rrd: Path, port: int) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """Serve a recording to browsers of this machine. Return the server, which is ready, and the address.
+    """Serve a recording to browsers of this machine. Yield the process of the server, which is ready, and the address.
 
     Raises ReplayError if it cannot be started.
     """
@@ -253,10 +261,11 @@ def served(rrd: Path, port: int) -> Iterator[tuple[subprocess.Popen[bytes], str]
 
 @contextlib.contextmanager
 def _local_page(port: int, inner_port: int, grpc_port: int) -> Iterator[None]:
-    """Return a server on `port` that forwards the page of the viewer's server on `inner_port`, for this machine alone.
+    """Serve the page of the viewer's server on `port` to this machine alone. `inner_port` is that of the viewer's
+    server.
 
-    The viewer's own page requests a font from other machines and notifies its makers that it was opened. Here it is
-    sent with a content security policy: it may run its own viewer and fetch the flight from its server.
+    The viewer's page would request a font from other machines, and notify its makers that it was opened. Here it is
+    sent with a content security policy that only allows its own scripts and the flight from `grpc_port`.
     """
     here = "'self' data: blob:"
     policy = (
@@ -300,11 +309,10 @@ def _local_page(port: int, inner_port: int, grpc_port: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def headless(window: str = WINDOW) -> Iterator[Callable[[], ViewerControl]]:
-    """Run a viewer without a window.
+    """Run a viewer without a window. It starts immediately, and ends with the block and the calling thread.
 
-    It starts immediately; the returned object controls it, and waits until it responds.
-
-    The viewer ends with its block, and with the thread that made it. Raises ReplayError if it cannot run.
+    Yield a function that waits until the viewer responds and returns its control. Raises ReplayError if the viewer
+    fails.
     """
     port = free_port()
     options = ("--headless", "--port", str(port), "--window-size", window, "--hide-welcome-screen")
@@ -321,20 +329,18 @@ def headless(window: str = WINDOW) -> Iterator[Callable[[], ViewerControl]]:
             yield client
         except (RuntimeError, ConnectionError, TimeoutError) as error:
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(timeout=2)  # the connection breaks before the program has ended
+                process.wait(timeout=2)  # the connection breaks before the program ends
             if process.returncode is not None:
                 raise ReplayError(f"the Rerun viewer has stopped: {_last_words(process)}") from error
             raise ReplayError(f"the Rerun viewer does not answer as expected: {error}") from error
 
 
 def steady_picture(viewer: ViewerControl, view_id: str | None = None) -> bytes:
-    """Return a PNG once two successive pictures are equal and all data is loaded.
+    """Return a PNG once two successive pictures are equal and all data are loaded.
 
-    Raises ReplayError if that never happens.
-
-    Painting takes half a second without a graphics card. The data of views is fetched at their first layout, with or
-    without painting, and each query of the viewer's state causes a layout. Therefore, the state is queried a few times
-    before the first picture, which is then usually the last but one.
+    Painting takes half a second without a graphics card. The data of a view are fetched at its first layout, and each
+    query of the viewer's state causes a layout without painting. Therefore, the state is queried a few times before the
+    first picture, so that usually two pictures suffice. Raises ReplayError if the picture does not settle.
     """
     for _ in range(_LAYOUTS):
         viewer.get_state()
@@ -344,7 +350,7 @@ def steady_picture(viewer: ViewerControl, view_id: str | None = None) -> bytes:
     while time.monotonic() < deadline:
         try:
             picture = viewer.take_screenshot(view_id)
-        except TimeoutError:  # the client waits 15 s: too short for a hundred flights on a busy machine
+        except TimeoutError:  # the client waits for 15 s, too short for a hundred flights on a busy machine
             continue
         if picture == last and not viewer.get_state().loading:
             return picture
@@ -353,7 +359,7 @@ def steady_picture(viewer: ViewerControl, view_id: str | None = None) -> bytes:
 
 
 def open_whole(viewer: ViewerControl, rrd: Path) -> None:
-    """Open a recording and wait until it is loaded. Raises ReplayError if that never happens."""
+    """Open a recording and wait until it is loaded. Raises ReplayError if it does not load within two minutes."""
     viewer.open(str(rrd.resolve()))
     deadline = time.monotonic() + _STEADY_S
     while time.monotonic() < deadline:
@@ -365,7 +371,7 @@ def open_whole(viewer: ViewerControl, rrd: Path) -> None:
 
 
 def pictures(client: ViewerControl, rrd: Path, times_s: Sequence[float]) -> tuple[list[bytes], list[str]]:
-    """Return pictures (PNG) of the whole window at these times, and the error messages of its views."""
+    """Return PNG pictures of the whole window at these times, and the error messages of its views."""
     open_whole(client, rrd)
     shots, complaints = [], []
     for time_s in times_s:
@@ -376,7 +382,7 @@ def pictures(client: ViewerControl, rrd: Path, times_s: Sequence[float]) -> tupl
 
 
 def complaints_of(viewer: ViewerControl) -> list[str]:
-    """Return the error messages of the viewer's views: a broken mapping, data that cannot be drawn."""
+    """Return the error messages of the viewer's views, such as those on data that cannot be drawn."""
     return [
         f"{view.name}: {report.severity}: {report.summary}{f' ({report.details})' if report.details else ''}"
         for view in viewer.get_state().views

@@ -15,11 +15,11 @@ from rerun.experimental import ViewerClient
 if TYPE_CHECKING:
     from rerun.experimental import ViewerState
 
-_SAVE_S = 15.0  # as long as Rerun 0.41 waits
+_SAVE_S = 15.0  # the time for which Rerun 0.41 waits
 
 
 class ViewerControl:
-    """A connection to the viewer at `url` on this machine, with 0.41's names for the functions that maxq uses."""
+    """A connection to the viewer at `url` on this machine. Its methods have the names of Rerun 0.41."""
 
     def __init__(self, url: str) -> None:
         self.url = url
@@ -27,7 +27,7 @@ class ViewerControl:
         self._renamed = hasattr(ViewerClient, "take_screenshot")
 
     def open(self, recording: str) -> None:
-        """Load a recording and show it, without waiting for all of it."""
+        """Start loading a recording to show it, and return before it is complete."""
         (self._client.open if self._renamed else self._client.open_url)(recording)
 
     def close_recordings(self) -> None:
@@ -35,16 +35,16 @@ class ViewerControl:
         (self._client.close if self._renamed else self._client.close_recordings)("all")
 
     def get_state(self) -> ViewerState:
-        """Return the recordings and views that the viewer shows, and their complaints."""
+        """Return the recordings and views that the viewer shows, with their error messages."""
         state: ViewerState = (self._client.get_state if self._renamed else self._client.viewer_state)()
         return state
 
     def pause_at(self, timeline: str, **time_s: float) -> None:
-        """Move the time cursor of a timeline to `duration` or `timestamp`, s, and pause there."""
+        """Move the cursor of a timeline to a `duration` or a `timestamp` (s), and pause there."""
         self._client.set_time(timeline, **time_s, **({"play_state": "paused"} if self._renamed else {}))
 
     def take_screenshot(self, view_id: str | None = None) -> bytes:
-        """Return a PNG of one view, or of the whole window. Raises TimeoutError after 15 s."""
+        """Return a PNG of one view (None: of the whole window). Raises TimeoutError after 15 s."""
         if self._renamed:
             png: bytes = self._client.take_screenshot(view_id)
             return png
@@ -55,7 +55,7 @@ class ViewerControl:
 
 
 def _saved(path: Path) -> bytes:
-    """Return the content of a PNG that the viewer is writing. Raises TimeoutError."""
+    """Return the content of a PNG file once the viewer has written it completely. Raises TimeoutError."""
     end = b"IEND\xaeB`\x82"  # the last chunk of a PNG and its checksum
     deadline = time.monotonic() + _SAVE_S
     while time.monotonic() < deadline:

@@ -1,9 +1,9 @@
 """Slender-body and fin aerodynamics over Mach number: first estimates, to be replaced by wind-tunnel data.
 
-The normal force follows slender-body theory for nose and changes of diameter (2 / rad on the area gained), and
-Barrowman's method for fins with body interference (J. S. Barrowman, NARAM-8, 1966). Both are scaled over Mach by a
-factor with its peak at 1.1. The cross-flow drag coefficient is 1.2 on the planform. Rate damping is integrated over
-strips. The axial force is an assumed curve of a clean launcher.
+The normal force follows slender-body theory for the nose and changes of diameter (2 / rad on the area gained), and
+Barrowman's method for fins with body interference (J. S. Barrowman, NARAM-8, 1966). Both are multiplied by an assumed
+function of Mach number that peaks at Mach 1.1. The cross-flow drag coefficient is 1.2 on the planform area. Rate
+damping is the sum over the lifting parts. The axial force is an assumed curve of a clean launcher.
 """
 
 from __future__ import annotations
@@ -24,17 +24,19 @@ from maxq.tools.vehicle.masses import Stack
 
 MACH = np.array([0.0, 0.5, 0.8, 0.95, 1.1, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 5.0, 8.0])
 _FIN_LIFT = np.array([1.0, 1.02, 1.08, 1.13, 1.16, 1.13, 1.02, 0.91, 0.81, 0.67, 0.56, 0.33, 0.21])
-_FIN_SHIFT = 0.25 * np.array([0.0, 0.0, 0.0, 0.1, 0.4, 0.8, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])  # of the mean chord
+_FIN_SHIFT = 0.25 * np.array([0.0, 0.0, 0.0, 0.1, 0.4, 0.8, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])  # chords
 _BODY_LIFT = 1.0 + 0.15 * np.exp(-(((MACH - 1.1) / 0.5) ** 2))
 _AXIAL = np.array([0.30, 0.29, 0.31, 0.45, 0.55, 0.54, 0.49, 0.44, 0.40, 0.33, 0.28, 0.21, 0.18])
-_BASE = np.interp(MACH, [0.0, 0.9, 1.1, 2.0, 5.0], [0.10, 0.13, 0.18, 0.10, 0.02])  # when no jet fills it
+_BASE = np.interp(MACH, [0.0, 0.9, 1.1, 2.0, 5.0], [0.10, 0.13, 0.18, 0.10, 0.02])  # without a jet that fills the base
 CROSSFLOW = 1.2
-NOSE_CENTRE = {"ogive": 0.466, "cone": 2.0 / 3.0}  # of the nose's length
+NOSE_CENTRE = {"ogive": 0.466, "cone": 2.0 / 3.0}  # share of the nose's length
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A lifting part: normal force slope (1/rad, on the reference area) and station, over the Mach numbers."""
+    """A lifting part: its normal force slope (1/rad, on the reference area) and station (m aft of the nose), each over
+    the Mach numbers of its `Aerodynamics`.
+    """
 
     name: str
     slope_pr: Array
@@ -43,7 +45,11 @@ class Surface:
 
 @dataclass(frozen=True)
 class Aerodynamics:
-    """The aerodynamics of a stack, over `mach`. The reference is the largest diameter of the whole vehicle."""
+    """The aerodynamics of a stack over `mach`. The reference length is the largest diameter of the whole vehicle.
+
+    Coefficients are arrays over `mach`, on `area_m2` and `diameter_m`. `axial` applies under thrust, `axial_coast`
+    without a jet.
+    """
 
     mach: Array
     diameter_m: float
@@ -53,21 +59,24 @@ class Aerodynamics:
     roll_damping: Array
     axial: Array
     axial_coast: Array
-    damping: Array | None = None  # Cmq that is given
-    boosters: tuple[tuple[Surface, Array], ...] = ()  # normal and axial force of one booster of each set
+    damping: Array | None = None  # pitch damping Cmq, if given
+    boosters: tuple[tuple[Surface, Array], ...] = ()  # normal and axial force of each set, per booster
 
     @property
     def area_m2(self) -> float:
         return 0.25 * math.pi * self.diameter_m**2
 
     def normal(self, mach: float) -> tuple[float, float]:
-        """Return the slope, 1/rad, and centre of pressure, m aft of the nose."""
+        """Return the normal force slope (1/rad) and the centre of pressure (m aft of the nose) at a Mach number.
+
+        The centre is NaN if the slope is zero.
+        """
         slopes = [float(np.interp(mach, self.mach, s.slope_pr)) for s in self.surfaces]
         stations = [float(np.interp(mach, self.mach, s.station_m)) for s in self.surfaces]
         return sum(slopes), float(np.dot(slopes, stations)) / (sum(slopes) or math.nan)
 
     def pitch_damping(self, x_cg_m: float) -> Array:
-        """Return Cmq about a CG, per q d / (2 U), over the Mach numbers."""
+        """Return Cmq about a CG at `x_cg_m` over the Mach numbers, for the rate normalised as q d / (2 U)."""
         if self.damping is not None:
             return self.damping
         moment = sum((s.slope_pr * (s.station_m - x_cg_m) ** 2 for s in self.surfaces), np.zeros(len(self.mach)))
@@ -75,7 +84,7 @@ class Aerodynamics:
 
 
 def aerodynamics(stack: Stack) -> Aerodynamics:
-    """Estimate the aerodynamics of the stack that flies while a stage burns."""
+    """Return the estimated or given aerodynamics of the stack that flies while a stage burns."""
     layout, stages = stack.layout, list(reversed(stack.layout.stage[stack.number :]))
     diameter = max(s.diameter_m for s in layout.stage)
     nose = Surface(
@@ -119,7 +128,9 @@ def aerodynamics(stack: Stack) -> Aerodynamics:
 
 
 def _with_boosters(core: Aerodynamics, stack: Stack) -> Aerodynamics:
-    """Add the noses and the axial force of the attached boosters, without interference."""
+    """Return the aerodynamics with the noses and the axial force of the attached boosters added, without
+    interference.
+    """
     surfaces, boosters, axial, coast = [*core.surfaces], [], core.axial, core.axial_coast
     for strapped in stack.boosters:
         b, count = strapped.booster, len(strapped.booster.positions_m)
@@ -134,7 +145,10 @@ def _with_boosters(core: Aerodynamics, stack: Stack) -> Aerodynamics:
 
 
 def _with_given(estimate: Aerodynamics, given: AeroSection) -> Aerodynamics:
-    """Replace the estimate by the values of a vehicle file's section, at small angles of attack and under thrust."""
+    """Return the estimate with the values of a vehicle file's section in place of its own.
+
+    The values are those at a small angle of attack and under thrust.
+    """
     tables = [given.table, *(s.table for s in given.surface)]
     grids = [c.grid for c in given.coefficients]
     machs = [*(t["mach"] for t in tables), *(g.breaks[0] for g in grids if g.axes[0] == "mach")]
@@ -191,8 +205,10 @@ def _with_given(estimate: Aerodynamics, given: AeroSection) -> Aerodynamics:
 
 
 def _small_incidence(grid: GridTable, mach: Array) -> tuple[Array, Array, Array]:
-    """Return the slopes of normal force and pitch moment, 1/rad, and the axial force coefficient, at zero angle of
+    """Return the slopes of normal force and pitch moment (1/rad) and the axial force coefficient at zero angle of
     attack.
+
+    Each is an array over `mach`.
     """
     values = grid.values
     for axis in reversed(range(len(grid.axes))):
@@ -223,7 +239,11 @@ def _small_incidence(grid: GridTable, mach: Array) -> tuple[Array, Array, Array]
 
 
 def _fins(fins: LayoutFins, name: str, radius_m: float, reference_m: float) -> tuple[Surface, Array, float]:
-    """Return the surface, Clp and the area of one fin, by Barrowman (equations 3-57, 3-31 and strip theory in roll)."""
+    """Return the lifting part and Clp of a set of fins, and the planform area of one fin.
+
+    The method is that of Barrowman (equations 3-57 and 3-31), with strip theory in roll. `radius_m` is the radius of
+    the body.
+    """
     s, root, tip = fins.semispan_m, fins.root_chord_m, fins.tip_chord_m
     middle = math.hypot(s, fins.sweep_m + 0.5 * (tip - root))  # length of the mid-chord line
     interference = 1.0 + radius_m / (s + radius_m)
@@ -233,7 +253,7 @@ def _fins(fins: LayoutFins, name: str, radius_m: float, reference_m: float) -> t
     y = np.linspace(radius_m, radius_m + s, 201)
     chord = np.interp(y, [radius_m, radius_m + s], [root, tip])
     square = float(np.trapezoid(chord * y * y, y) / np.trapezoid(chord, y))
-    # a pair of fins lifts with count / 2 of them: in roll all of them do
+    # the normal force of the set is that of count / 2 fins; in roll, all fins act
     roll = -2.0 * 2.0 * alone * _FIN_LIFT * square / reference_m**2
     shift = _FIN_SHIFT * 0.5 * (root + tip)
     surface = Surface(f"fins_{name}", interference * alone * _FIN_LIFT, fins.leading_edge_station_m + centre + shift)

@@ -10,10 +10,12 @@ from maxq.sim.world import earth
 def launch_azimuth_deg(
     latitude_deg: float, inclination_deg: float, perigee_m: float, apogee_m: float, *, southwards: bool = False
 ) -> float:
-    """Return the azimuth over the rotating Earth, deg from north, of a launch to an orbit (radii in m).
+    """Return the launch azimuth on the rotating Earth, deg clockwise from north, for an orbit of given inclination.
 
-    The velocity at perigee in the plane of the orbit, sin(azimuth) = cos i / cos(latitude), less that of the ground.
-    Source: Skopinski & Johnson, NASA TN D-233 (1960). The Earth is a sphere, with the geocentric latitude of the site.
+    `perigee_m` and `apogee_m` are radii from the centre of the Earth. The azimuth is that of the velocity at perigee in
+    the orbital plane, sin(azimuth) = cos i / cos(latitude), minus the velocity of the ground. The Earth is a sphere,
+    with the geocentric latitude of the site. Source: Skopinski & Johnson, NASA TN D-233 (1960).
+
     Raises ValueError if no plane through the site has this inclination.
     """
     latitude_rad = earth.geocentric_rad(latitude_deg)

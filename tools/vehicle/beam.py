@@ -1,9 +1,10 @@
-"""The free-free bending modes of a stack: Euler-Bernoulli elements with cubic shapes (Hermite).
+"""The free-free bending modes of a stack, from Euler-Bernoulli elements with cubic (Hermite) shape functions.
 
-The engines are locked as a rigid mass behind the last node, and sloshing masses are removed.
+The locked engines are a rigid mass behind the last node, and the sloshing masses are removed.
 
-Shear, rotary inertia of the sections, and compliance of joints beyond EI are neglected. Shapes are 1 at the gimbal; the
-slope is d(phi)/d(station). (Przemieniecki, Theory of Matrix Structural Analysis, sections 5.6 and 11.5.)
+Shear, the rotary inertia of the sections, and the compliance of joints beyond EI are neglected. Shapes are 1 at the
+gimbal; the slope is d(phi)/d(station). Source: Przemieniecki, Theory of Matrix Structural Analysis, sections 5.6 and
+11.5.
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ from maxq.control.kernel.records import Array
 from maxq.tools.vehicle.masses import Rod, Stack, line_density_kgpm
 
 ELEMENTS = 120
-_LEAST_SHARE = 1e-4  # of the mean mass per length: an element without mass has no mass matrix
+_LEAST_SHARE = 1e-4  # share of the mean mass per length: an element without mass would make the mass matrix singular
 
 
 @dataclass(frozen=True)
 class BeamMode:
-    """A mode shape at stations."""
+    """A bending mode: frequency, generalised mass, and shape `phi` with its slope (1/m) at stations (m aft of the
+    nose).
+    """
 
     station_m: Array
     frequency_hz: float
@@ -35,7 +38,7 @@ class BeamMode:
 
 @dataclass(frozen=True)
 class RigidLoad:
-    """The masses of a rigid booster, which one station of the beam clamps, or two hold."""
+    """The masses of a rigid booster that is clamped at one station of the beam or attached at two stations."""
 
     attachments_m: tuple[float, ...]
     rods: Sequence[Rod]
@@ -43,7 +46,7 @@ class RigidLoad:
 
 @dataclass(frozen=True)
 class Beam:
-    """The structure of a stack: nodes, and the bending stiffness of the elements between them."""
+    """The structure of a stack: equally spaced nodes, and the bending stiffness of the elements between them."""
 
     nodes_m: Array
     stiffness_Nm2: Array
@@ -62,18 +65,16 @@ class Beam:
     def modes(
         self, rods: Sequence[Rod], count: int, carried: Sequence[RigidLoad] = (), *, clamped: bool = False
     ) -> list[BeamMode]:
-        """Return the first `count` bending modes with these masses on the beam, and the rigid boosters that it carries.
+        """Return the first `count` bending modes of the beam with the masses `rods` and the rigid boosters `carried`.
 
-        `clamped` fixes its end, where the vehicle is held down.
-
-        Free shapes are 1 at the gimbal, clamped ones at the nose.
+        Shapes are 1 at the gimbal. If `clamped`, the aft end is fixed, as on the pad, and shapes are 1 at the nose.
         """
         density, behind = line_density_kgpm(rods, self.nodes_m)
         k, m = self._matrices(np.maximum(density, _LEAST_SHARE * density.mean()))
         m[-2:, -2:] += np.array([[behind[0], behind[1]], [behind[1], behind[2]]])
         for each in carried:
             m += self._mass_of(each)
-        free, first = (slice(0, -2), 0) if clamped else (slice(None), 2)  # 0 and 1 of a free body are its rigid motions
+        free, first = (slice(0, -2), 0) if clamped else (slice(None), 2)  # 0 and 1 of a free body are its rigid modes
         squares, vectors = eigh(k[free, free], m[free, free], subset_by_index=[first, first + count - 1])
         out = []
         for square, vector in zip(squares, vectors.T, strict=True):
@@ -84,7 +85,9 @@ class Beam:
         return out
 
     def _matrices(self, density_kgpm: Array) -> tuple[Array, Array]:
-        """Return the stiffness and consistent mass over (displacement, slope) of each node."""
+        """Return the stiffness and consistent mass matrices for the displacement and slope of each node,
+        alternating.
+        """
         h = float(self.nodes_m[1] - self.nodes_m[0])
         k_unit = (
             np.array(
@@ -118,9 +121,9 @@ class Beam:
         return k, m
 
     def mass_forward_kg(self, rods: Sequence[Rod], carried: Sequence[RigidLoad] = ()) -> Array:
-        """Return the mass ahead of each node. Times the axial acceleration, it is the compression there.
+        """Return the mass ahead of each node. Its product with the axial acceleration is the compression at the node.
 
-        A booster hangs on its first attachment.
+        The first attachment of a booster carries its axial load.
         """
         density, _ = line_density_kgpm(rods, self.nodes_m)
         forward = np.concatenate([[0.0], np.cumsum(density * np.diff(self.nodes_m))])
@@ -129,7 +132,7 @@ class Beam:
         return forward
 
     def _mass_of(self, carried: RigidLoad) -> Array:
-        """Return the mass matrix of a rigid body whose axis moves as its attachments do."""
+        """Return the mass matrix of a rigid booster that moves with its attachments."""
         first, last = carried.attachments_m[0], carried.attachments_m[-1]
         moved, turned = self._field(first)
         if first != last:
@@ -141,7 +144,7 @@ class Beam:
         return np.asarray(mass * np.outer(moved, moved) + moment * (both + both.T) + inertia * np.outer(turned, turned))
 
     def _field(self, station_m: float) -> tuple[Array, Array]:
-        """Return the displacement and slope at a station per degree of freedom of the nodes."""
+        """Return the displacement and slope at a station per unit of each degree of freedom of the nodes."""
         h = float(self.nodes_m[1] - self.nodes_m[0])
         k = min(max(int(station_m / h), 0), len(self.nodes_m) - 2)
         x = (station_m - float(self.nodes_m[k])) / h

@@ -27,40 +27,41 @@ from maxq.tools.vehicle.trajectory import Ascent, TrajectoryPoint, ascent
 
 MODE_ROWS = 13
 MOST_RIGID_HZ = 0.4
-SHARE = 0.8  # of the first gains' frequency that a design must keep
+SHARE = 0.8  # share of the first gains' frequency that a design must keep
 IN_TAIL = 6  # rows of gains in a long tail-off
-BELOW = 8.0  # the rigid body's frequency is at most those of mode 1 and of the actuator, divided by this
-BELOW_SLOSH = 2.0  # and at most that of the slowest slosh mode, divided by this
-_PROPELLANT_kgpm3 = 1400.0, 2000.0  # solid propellants
-_NEAR_NODE = 0.1  # of the largest displacement
-TimedModes = tuple[Array, list[list[BeamMode]]]  # times of the stage's clock, with modes at each
+BELOW = 8.0  # least ratio of the frequencies of mode 1 and of the actuator to that of the rigid body
+BELOW_SLOSH = 2.0  # least ratio of the frequency of the slowest slosh mode to that of the rigid body
+_PROPELLANT_kgpm3 = 1400.0, 2000.0  # least and greatest density of solid propellants
+_NEAR_NODE = 0.1  # share of the largest displacement
+TimedModes = tuple[Array, list[list[BeamMode]]]  # times on the stage's clock, and the modes at each
 
 
 @dataclass(frozen=True)
 class Built:
-    """A vehicle built from a layout. `modes` are those of each stage, at times of its clock."""
+    """A vehicle built from a layout. Lists are by stack; `modes` are at times of its clock."""
 
     layout: Layout
     stacks: list[Stack]
     aero: list[Aerodynamics]
     modes: list[TimedModes]
     flight: Ascent
-    gains: list[tuple[float, float, float]]  # flight time, k_p, k_d
-    assumed: list[str] = field(default_factory=list)  # those of `build` first: modes that are omitted
-    design: Design | None = None  # with gains and filters that were searched for, instead of `gains` and wide notches
+    gains: list[tuple[float, float, float]]  # flight time (s), k_p, k_d (s)
+    assumed: list[str] = field(default_factory=list)  # assumptions; the first ones, from `build`, name omitted modes
+    design: Design | None = None  # gains and filters found by a search, instead of `gains` and wide notches
 
     @property
     def mode_1_hz(self) -> float:
-        """Return the frequency of mode 1 of the first stage, mean over its burn, or infinity without modes."""
+        """Return the mean frequency of mode 1 over the first burn, or infinity without modes."""
         found = [modes[0].frequency_hz for modes in self.modes[0][1] if modes]
         return float(np.mean(found)) if found else math.inf
 
     def rigid_hz(self, p: TrajectoryPoint) -> float:
-        """Return the rigid-body frequency of the first gains: that of the layout.
+        """Return the rigid-body frequency for which the first gains are computed, Hz.
 
-        Its default is an eighth of mode 1 and of the actuator and half of the slowest slosh mode at that time, at most
-        0.4 Hz. In a tail-off it falls with the thrust, so that the rate gain stays: the inertia of the engine excites
-        the modes in proportion to this gain, whatever the thrust.
+        The layout may specify it. The default is an eighth of the lower of mode 1 and the actuator, or half of the
+        slowest slosh mode at that time, whichever is less, and at most 0.4 Hz. In a long tail-off, the frequency falls
+        with the thrust, so that the rate gain is constant. The inertia of the engine excites the modes in proportion to
+        this gain, whatever the thrust.
         """
         times, modes = self.modes[p.number]
         own = [of[0].frequency_hz for of in modes if of]
@@ -71,9 +72,10 @@ class Built:
 
 
 def build(layout: Layout, progress: Callable[[str, int, int], None] = lambda *_: None) -> Built:
-    """Build a vehicle from a layout. Raises ValueError if it cannot fly.
+    """Build a vehicle from a layout.
 
-    `progress` receives the name of each stage of the computation, and its steps done and in all (0: unknown).
+    `progress` receives the name of each stage of the computation, the steps done, and their number (0: unknown). Raises
+    ValueError if the vehicle cannot fly.
     """
     progress("computing the ascent", 0, 0)
     whole = stacks(layout)
@@ -93,7 +95,7 @@ def build(layout: Layout, progress: Callable[[str, int, int], None] = lambda *_:
 
 
 def _slosh(tank: LayoutTank, liquid_kg: float) -> tuple[float, float]:
-    """Return the mass (kg) and the pendulum length (m) of the first slosh mode of a tank's liquid."""
+    """Return the mass (kg) and the pendulum length (m) of the first slosh mode of the liquid in a tank."""
     scale = tank.density_kgpm3 * tank.radius_m**3
     mass, length = _first_slosh_mode(tank.profile, liquid_kg / scale)
     return scale * mass, tank.radius_m * length
@@ -103,22 +105,22 @@ def _slosh(tank: LayoutTank, liquid_kg: float) -> tuple[float, float]:
 def _first_slosh_mode(profile: Profile, volume: float) -> tuple[float, float]:
     """Return the mass and the pendulum length of the first slosh mode of a liquid with this volume.
 
-    All are in units of the tank's radius and the liquid's density. Filters, gains and their checks ask for the same
-    points of the ascent.
+    All quantities are in units of the tank's radius and the liquid's density. Results are cached, because filters,
+    gains and their checks use the same points of the ascent.
     """
     mode = modes_over(profile, profile.depth(np.array([volume])), 1)[0]
     return float(mode.mass[0]), float(mode.length[0])
 
 
 def slosh_kg(tank: LayoutTank, liquid_kg: float) -> float:
-    """Return the mass of the first slosh mode of a tank's liquid."""
+    """Return the mass of the first slosh mode of the liquid in a tank."""
     return _slosh(tank, liquid_kg)[0]
 
 
 def slosh_hz(stack: Stack, p: TrajectoryPoint) -> float:
-    """Return the frequency of the slowest first slosh mode of the burning stage and its boosters.
+    """Return the lowest frequency of the first slosh modes of the burning stage and its boosters, Hz.
 
-    It is that of a pendulum under the thrust per mass of the vehicle, without drag; infinity without thrust or liquid.
+    Each is that of a pendulum under thrust / mass, without drag. Returns infinity without thrust or liquid.
     """
     load_mps2, t = p.thrust_N / stack.mass_properties(p.clock_s).mass_kg, p.clock_s
     liquids = [(tank, stack.liquid_kg(tank, t)) for tank in stack.stage.tank]
@@ -147,8 +149,9 @@ def _modes(stack: Stack) -> TimedModes:
 
 
 def _renormalise(found: list[list[BeamMode]], k: int) -> None:
-    """Return mode k with 1 as its largest displacement and the same sign at all times, since the gimbal is near a
-    node.
+    """Scale mode k in place to a largest displacement of 1 and an equal sign at all times.
+
+    This is for a mode with the gimbal near a node, where a displacement of 1 at the gimbal would be meaningless.
     """
     before = found[0][k].phi
     for modes in found:
@@ -166,8 +169,9 @@ def _renormalise(found: list[list[BeamMode]], k: int) -> None:
 def _that_count(
     every: Sequence[Stack], modes: list[TimedModes], highest_hz: float
 ) -> tuple[list[TimedModes], list[str]]:
-    """Return the beam's modes that begin below a frequency, with the same number in all parts of a stage, and a text
-    about the others.
+    """Return the modes of each stack whose frequency starts at or below `highest_hz`, and texts on the omitted modes.
+
+    All parts of a stage keep an equal number of modes. Modes given by the layout are all kept.
     """
     out, words = list(modes), []
     for number, stage in enumerate(every[0].layout.stage):
@@ -185,7 +189,9 @@ def _that_count(
 
 
 def beam_load(stack: Stack, t: float) -> list[Rod]:
-    """Return the masses that the beam carries at `t` of the stage's clock: everything but the sloshing masses."""
+    """Return the masses that the beam carries at time `t` (s) of the stage's clock: all but sloshing masses and
+    boosters.
+    """
     rods = [*stack.dry, *stack.grains(t)]
     for tank, liquid in zip(stack.stage.tank, stack.liquids(t), strict=True):
         left = liquid.mass_kg - slosh_kg(tank, liquid.mass_kg)
@@ -194,7 +200,7 @@ def beam_load(stack: Stack, t: float) -> list[Rod]:
 
 
 def beam_boosters(stack: Stack, t: float) -> list[RigidLoad]:
-    """Return the boosters that the beam carries, without their sloshing masses."""
+    """Return the boosters that the beam carries at time `t` (s) of the stage's clock, without their sloshing masses."""
     out = []
     for s in stack.boosters:
         rods = s.rods(t)
@@ -205,7 +211,9 @@ def beam_boosters(stack: Stack, t: float) -> list[RigidLoad]:
 
 
 def on_the_pad(built: Built) -> list[BeamMode]:
-    """Return the bending modes of the full vehicle held at its tail, or none if the beam is not used."""
+    """Return the bending modes of the full vehicle clamped at its tail, at most three, or none if the layout gives
+    modes.
+    """
     stack = built.stacks[0]
     if not stack.stage.modes or stack.stage.bending is not None or stack.stage.spatial_modes is not None:
         return []
@@ -214,7 +222,7 @@ def on_the_pad(built: Built) -> list[BeamMode]:
 
 
 def _mode_of(table: ModeTable, t: float) -> list[BeamMode]:
-    """Return the given modes at the row nearest to a time."""
+    """Return the modes of a table at the row nearest to time `t` (s)."""
     k = int(np.argmin(np.abs(table.time_s - t)))
     return [
         BeamMode(table.station_m, float(hz), float(kg), table.phi[k, m], table.slope_pm[k, m])
@@ -223,33 +231,35 @@ def _mode_of(table: ModeTable, t: float) -> list[BeamMode]:
 
 
 def m_alpha_1ps2(built: Built, p: TrajectoryPoint) -> float:
-    """Return the angular acceleration per angle of attack, positive for an unstable vehicle."""
+    """Return the angular acceleration in pitch per angle of attack, 1/s2, positive for an unstable vehicle."""
     aero, props = built.aero[p.number], built.stacks[p.number].mass_properties(p.clock_s)
     slope, centre = aero.normal(p.mach)
     return slope * p.dynamic_pressure_Pa * aero.area_m2 * (props.x_cg_m - centre) / props.pitch_kgm2
 
 
 def m_delta_1ps2(built: Built, p: TrajectoryPoint) -> float:
-    """Return the angular acceleration per gimbal angle."""
+    """Return the angular acceleration in pitch per gimbal angle, 1/s2."""
     stack = built.stacks[p.number]
     props = stack.mass_properties(p.clock_s)
     return p.steered_N * (stack.stage.engine.gimbal_station_m - props.x_cg_m) / props.pitch_kgm2
 
 
 def burning(built: Built, number: int | None = None) -> list[TrajectoryPoint]:
-    """Return the points at full thrust, of all stacks or of one."""
+    """Return the points of the ascent at full thrust, of all stacks or of stack `number`."""
     full_s = [stack.full_s for stack in built.stacks]
     points = [p for p in built.flight.points if number in (None, p.number)]
     return [p for p in points if full_s[p.number][0] <= p.clock_s <= full_s[p.number][1]]
 
 
 def spread(points: Sequence[TrajectoryPoint], count: int) -> list[TrajectoryPoint]:
-    """Return this number of points, evenly spaced from the first to the last."""
+    """Return at most `count` of the points, evenly spaced from the first to the last."""
     return [points[k] for k in np.unique(np.linspace(0, len(points) - 1, count).astype(int))] if points else []
 
 
 def tail_off(built: Built, number: int) -> list[TrajectoryPoint]:
-    """Return the points of a stack in a long tail-off, as long as its thrust is at least `LEAST_SHARE`."""
+    """Return the points of a stack in a long tail-off, while its thrust in vacuum is at least `LEAST_SHARE` of the
+    largest.
+    """
     stack = built.stacks[number]
     if not stack.has_long_tail:
         return []
@@ -259,13 +269,16 @@ def tail_off(built: Built, number: int) -> list[TrajectoryPoint]:
 
 
 def dozen(built: Built) -> list[TrajectoryPoint]:
-    """Return points of each stage: a dozen at full thrust, and some in a long tail-off."""
+    """Return points of each stack: twelve at full thrust, and `IN_TAIL` in a long tail-off."""
     every = range(len(built.stacks))
     return [p for n in every for p in (*spread(burning(built, n), 12), *spread(tail_off(built, n), IN_TAIL))]
 
 
 def _gains(built: Built) -> list[tuple[float, float, float]]:
-    """Return gains that give the rigid body its frequency and damping with M_alpha included."""
+    """Return rows of flight time (s), k_p and k_d (s) that give the rigid body its frequency and damping.
+
+    M_alpha is included: k_p = (omega^2 + M_alpha) / M_delta.
+    """
     zeta, rows = built.layout.control.rigid_zeta, []
     for p in dozen(built):
         omega, delta = 2.0 * math.pi * built.rigid_hz(p), m_delta_1ps2(built, p)
@@ -275,12 +288,11 @@ def _gains(built: Built) -> list[tuple[float, float, float]]:
 
 
 def least_rigid_hz(built: Built, aero_gain_db: float) -> tuple[list[float], list[float]]:
-    """Return flight times and the least required frequency of the rigid body.
+    """Return flight times (s) and the least rigid-body frequency (Hz) required at each.
 
-    It is SHARE of that of the first gains, or the frequency that an unstable vehicle needs for its lower gain margin,
-    M_delta k_p = g M_alpha: omega^2 = (g - 1) M_alpha.
-
-    Of instants on a straight line, only the ends are kept.
+    The frequency is SHARE of that of the first gains, or the frequency that an unstable vehicle needs for its lower
+    gain margin g, whichever is greater. From M_delta k_p = g M_alpha follows omega^2 = (g - 1) M_alpha. Rows between
+    two rows of the same frequency are omitted.
     """
     factor, rows = 10.0 ** (aero_gain_db / 20.0) - 1.0, []
     for p in dozen(built):
@@ -327,7 +339,7 @@ INCIDENCE_deg = 5.0
 
 
 def too_weak(built: Built) -> list[str]:
-    """Return the stages whose gimbals cannot hold `INCIDENCE_deg`, or nothing if all can."""
+    """Return a line for each stack whose gimbals cannot hold an angle of attack of `INCIDENCE_deg` at full thrust."""
     out = []
     for n, stack in enumerate(built.stacks):
         worst = max(burning(built, n), key=lambda p: m_alpha_1ps2(built, p) / m_delta_1ps2(built, p))
@@ -339,7 +351,7 @@ def too_weak(built: Built) -> list[str]:
 
 
 def warnings(built: Built) -> list[str]:
-    """Return a line for each value that is unusual, but possible."""
+    """Return a line for each value that is possible, but unusual."""
     out, half_hz = [], 0.5 / built.layout.control.sample_s
     for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
         for k, mode in enumerate(modes[0]):
@@ -363,7 +375,7 @@ def warnings(built: Built) -> list[str]:
 
 
 def _unusual_grains(stage: LayoutStage) -> list[str]:
-    """Return a line for each grain whose density by its mass and shape is that of no propellant."""
+    """Return a line for each grain whose density, by its mass and shape, is not that of a solid propellant."""
     out = []
     for grain in stage.grain:
         if grain.burns != "uniform":

@@ -9,14 +9,14 @@ from maxq.design.model.spread import Spread
 from maxq.tools.vehicle.build import Built
 from maxq.tools.vehicle.layout import LayoutStage
 
-ISP, MISALIGNMENT_DEG, TEMPERATURE_K = 0.01, 0.15, 15.0  # three sigma of a solid motor
+ISP, MISALIGNMENT_DEG, TEMPERATURE_K = 0.01, 0.15, 15.0  # three-sigma deviations of a solid motor
 LIMIT_WIND = "vehicle/limit_wind.csv"
-SPREAD = Spread()  # its numbers, and further ones
-AXIAL, DAMPING = 0.1, {"distribution": "log-normal", "three_sigma": 0.6931}  # half or twice at three sigma
+SPREAD = Spread()  # the deviations of a suite without a campaign; this module adds others
+AXIAL, DAMPING = 0.1, {"distribution": "log-normal", "three_sigma": 0.6931}  # half or double at three sigma
 
 
 def campaign_of(built: Built) -> dict[str, Any]:
-    """Return the campaign of the whole ascent in winds up to the limit wind; every stage has its own deviations."""
+    """Return the campaign of the whole ascent in winds up to the limit wind, with deviations of each stage."""
     spread = [
         {
             "name": "share of the limit wind",
@@ -75,7 +75,9 @@ def campaign_of(built: Built) -> dict[str, Any]:
 
 
 def _boosters(built: Built) -> Iterator[dict[str, Any]]:
-    """Yield the thrust at equal impulse of each booster, in all parts of the burn that have it."""
+    """Yield a deviation of thrust at equal impulse for each booster, with its keys in all parts of the burn that have
+    it.
+    """
     names = {name: None for stack in built.stacks for s in stack.boosters for name in s.booster.names}
     for name in names:
         keys = []
@@ -98,9 +100,10 @@ def _boosters(built: Built) -> Iterator[dict[str, Any]]:
 def _deviations(
     built: Built, stage: LayoutStage, parts: Sequence[int]
 ) -> Iterator[tuple[str, list[str], dict[str, Any]]]:
-    """Yield the name, keys and distribution of the deviations of a stage of the layout, equal in its `parts`.
+    """Yield the name, keys and distribution of each deviation of a stage of the layout.
 
-    Their sizes are those of a suite without a campaign.
+    The keys cover all `parts` of the stage (indices of stacks), which deviate alike. The sizes are those of a suite
+    without a campaign.
     """
     e, poles = stage.engine, range(len(stage.engine.servo_hz))
 
@@ -138,7 +141,7 @@ def _deviations(
 
 
 def _modes_flown(built: Built, n: int) -> int:
-    """Return the number of modes in the vehicle file of a part."""
+    """Return the number of modes in the vehicle file for stack `n`."""
     stage = built.stacks[n].stage
     if stage.spatial_modes is not None:
         return stage.spatial_modes.modes.modes
@@ -149,7 +152,5 @@ def _modes_flown(built: Built, n: int) -> int:
 
 
 def _each(count: int) -> list[tuple[str, str]]:
-    """Return the distinguishing parts of a list's elements in names and in key paths, or nothing for a single
-    element.
-    """
+    """Return the suffixes of the elements of a list in names and in key paths. For a single element, both are empty."""
     return [(f" {k + 1}", f".{k}") for k in range(count)] if count > 1 else [("", "")]

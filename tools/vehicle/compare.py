@@ -1,4 +1,4 @@
-"""The comparison of a vehicle built from a layout with a given one, by the packed quantities over the burns."""
+"""The comparison of a vehicle built from a layout with a given vehicle, by their packed quantities over the burns."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from maxq.tools.cli.terminal import aligned
 from maxq.tools.vehicle.build import Built, burning, spread
 
 ALIKE = 1e-2
-TIMES = 11  # of each burn, at full thrust
+TIMES = 11  # points of each burn, at full thrust
 _BODY = {
     "body: core mass, kg": schedule.CORE_MASS, "body: core CG station, m": schedule.CORE_CG,
     "body: core CG rate, m/s": schedule.CG_RATE, "body: core transverse inertia, kg m2": schedule.CORE_INERTIA + 1,
@@ -51,7 +51,7 @@ _COEFFICIENTS = {"CA": aero.CA, "CD": aero.CD, "pitch damping": aero.CMQ}
 
 @dataclasses.dataclass(frozen=True)
 class Difference:
-    """A quantity at the times of all burns: of the layout and of the given vehicle."""
+    """A quantity at the points of all burns, for the layout (`here`) and the given vehicle (`there`)."""
 
     name: str
     here: Array
@@ -59,15 +59,16 @@ class Difference:
 
     @property
     def largest(self) -> float:
-        """Return the largest difference relative to the largest value of the given vehicle."""
+        """Return the largest difference divided by the largest magnitude for the given vehicle."""
         scale = float(np.abs(self.there).max())
         return float(np.abs(self.here - self.there).max()) / (scale or 1.0)
 
 
 def compared(built: Built, folder: Path, vehicle: str) -> list[Difference]:
-    """Compare the files in `folder`, written from `built`, with a vehicle in a folder or of a built-in name.
+    """Compare the files in `folder`, written from `built`, with a vehicle given by its folder or built-in name.
 
-    Raises ScenarioError for a vehicle that cannot be read, and ValueError for one with other stages, tanks or modes.
+    Quantities that are zero throughout for the given vehicle are omitted. Raises ScenarioError for a vehicle that
+    cannot be read, and ValueError for a vehicle with different stages, tanks, modes or surfaces.
     """
     path = Path(vehicle) if Path(vehicle).exists() else scenarios_folder() / vehicle
     ours = load_scenario(folder / "scenario.toml")
@@ -92,7 +93,7 @@ def _quantities(built: Built, loaded: LoadedScenario) -> dict[str, Array]:
 
 
 def _numbers(held: HeldStage, mach: float) -> Iterator[tuple[str, float]]:
-    """Yield titles and numbers of a held stage, in the pitch plane."""
+    """Yield the title and value of each quantity of a held stage, in the pitch plane."""
     row, p, sizes, whole = held.parameters[0].vehicle, held.properties[0], held.sizes, vehicle_at(held, "pitch")
     yield "vehicle: CG station, m", whole.total_cg_station_m
     yield "vehicle: transverse inertia, kg m2", whole.total_inertia_kgm2
@@ -132,7 +133,7 @@ def _numbers(held: HeldStage, mach: float) -> Iterator[tuple[str, float]]:
 
 
 def comparison(found: list[Difference], vehicle: str) -> str:
-    """Return the differences as a table, largest first."""
+    """Return the differences as a table, largest first, with the values where each difference is largest."""
     rows = [("quantity", "here", "there", "off, %")]
     alike = [d for d in found if d.largest < ALIKE]
     for d in sorted((d for d in found if d.largest >= ALIKE), key=lambda d: -d.largest):

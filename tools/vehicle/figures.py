@@ -1,4 +1,4 @@
-"""The page that `simvehicle` writes: side view, masses, modes, aerodynamics, control, ascent."""
+"""The page that `simvehicle` writes: side view, masses, modes, aerodynamics, control and ascent."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TIME, _STATION = "flight time, s", "station, m aft of the nose"
 
 
 def page(built: Built) -> str:
-    """Return one HTML file with all figures."""
+    """Return the page as one HTML file with all figures, tables and notes."""
     plots = [_vehicle(built), _masses(built), _aerodynamics(built), _control(built), _ascent(built)]
     if any(modes[0] for _, modes in built.modes):
         plots.append(_modes(built))
@@ -55,9 +55,10 @@ def _vehicle(built: Built) -> Plot:
 
 
 def stage_bodies(stage: LayoutStage, nose_m: float, nose: str) -> list[Series]:
-    """Return the bodies of a stage to scale, its boosters first, so that the core covers those ahead of and behind it.
+    """Return the bodies of a stage to scale, with its boosters first, so that the core covers those in front and
+    behind.
 
-    `nose_m` is the length of the nose, 0 for a stage without one; `nose` is its shape.
+    `nose_m` is the length of the nose, 0 for a stage without a nose. `nose` is its shape.
     """
     r, out = 0.5 * stage.diameter_m, list[Series]()
     for booster in stage.booster:
@@ -107,7 +108,9 @@ def _propellants(body: LayoutStage | LayoutBooster, y_m: float = 0.0) -> list[Se
 
 
 def _of_stacks(built: Built, value: Callable[[int, float], float]) -> list[Series]:
-    """Return a quantity of each stack over flight time."""
+    """Return the curve of a quantity over flight time for each stack. `value` takes the stack and the time on its
+    clock, s.
+    """
     out = list[Series]()
     for n, stack in enumerate(built.stacks):
         t = np.linspace(stack.begins_s, stack.end_s, 61)
@@ -133,7 +136,7 @@ def _masses(built: Built) -> Plot:
 
 
 def _modes(built: Built) -> Plot:
-    """Return the shapes at each ignition, and frequencies over flight time."""
+    """Return the mode shapes at each ignition, and the frequencies over flight time."""
     shown = [n for n, (_, modes) in enumerate(built.modes) if modes[0]]
     panels, frequencies = list[Panel](), list[Series]()
     for n in shown:
@@ -160,7 +163,7 @@ def _modes(built: Built) -> Plot:
 
 
 def _split(points: list[TrajectoryPoint], values: list[float]) -> tuple[Array, Array]:
-    """Return values over flight time, separated at changes of the stage."""
+    """Return the flight times and values of points, with a NaN between stacks that interrupts the curve."""
     t, y = np.array([p.time_s for p in points]), np.array(values, dtype=float)
     changes = np.flatnonzero(np.diff([p.number for p in points])) + 1
     return np.insert(t, changes, np.nan), np.insert(y, changes, np.nan)

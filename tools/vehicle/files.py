@@ -1,5 +1,5 @@
-"""The writer of the files of a layout, as simrun, simdesign and simverify read them. The files are the tables of the
-vehicle, a pitch programme, a first design, a scenario, a campaign, a case and a suite.
+"""The files of a layout for simrun, simdesign and simverify: tables of the vehicle, a pitch programme, a first design,
+a scenario, a campaign, a case and a suite.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ from maxq.tools.vehicle.trajectory import TrajectoryPoint
 
 SUITE = "launcher"
 MASS_ROWS, SHAPE_STATIONS = 41, 41
-DIGITS = ".12g"  # of numbers that a table and vehicle.toml may share
-ROOM_DB, ROOM_DEG = 0.5, 2.0  # added by a case to its suite: points and rounding differ
-ROLL_SHARE = 0.25  # of the gimbals' angle, available to roll
+DIGITS = ".12g"  # format of the numbers in tables, and of those in vehicle.toml
+ROOM_DB, ROOM_DEG = 0.5, 2.0  # margins of a case to the limits of its suite, for other operating points and rounding
+ROLL_SHARE = 0.25  # share of the gimbal angle limit available to roll
 FASTER = 0.1  # share of its burn by which a part's tables continue if the next part continues the burn
-FAR, LOW_PASS = 100.0, 0.15  # frequency of mode 1 over that of the rigid body; poles over mode 1
-REVOLUTION_s = 6500.0  # of a low orbit
-SHOWN = 0.4  # share of the sample rate up to which a mode gets a notch
+FAR, LOW_PASS = 100.0, 0.15  # mode 1 / rigid body, above which a low pass is used; poles of the low pass / mode 1
+REVOLUTION_s = 6500.0  # period of a low orbit
+SHOWN = 0.4  # share of the sample rate up to which a mode has a notch
 CsvFile = tuple[str, Sequence[tuple[Any, ...]]]  # head and rows of a CSV file
-Tables = dict[str, CsvFile]  # by the file's name
+Tables = dict[str, CsvFile]  # by file name
 
 
 def write(built: Built, folder: Path) -> list[Path]:
-    """Write all files to a folder. Return them."""
+    """Write all files of a built vehicle into a folder, and return their paths."""
     layout, files = built.layout, []
     tables: Tables = {"pitch_programme.csv": _programme(built)}
     vehicle = _vehicle(built, tables)
@@ -71,7 +71,10 @@ def write(built: Built, folder: Path) -> list[Path]:
 
 
 def _rounded(value: Any) -> Any:
-    """Return numbers as in the tables, so that a gimbal at the last station of the modes is not behind it."""
+    """Return a value with all its floats rounded as in the tables.
+
+    Otherwise, a gimbal at the last station of the modes could be behind that station.
+    """
     if isinstance(value, dict):
         return {key: _rounded(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -80,7 +83,9 @@ def _rounded(value: Any) -> Any:
 
 
 def _limit_wind(jet_mps: float) -> CsvFile:
-    """Return a preliminary jet stream: a light wind on the ground and a light one above."""
+    """Return a preliminary wind profile from the west: a jet stream at 11 km, and light winds at the ground and above
+    20 km.
+    """
     rows = [(0.0, min(8.0, jet_mps)), (11e3, jet_mps), (20e3, min(10.0, jet_mps)), (30e3, min(10.0, jet_mps))]
     return "altitude_m,speed_mps,from_deg", [(*row, 270.0) for row in rows]
 
@@ -90,7 +95,7 @@ def _prefix(built: Built, n: int) -> str:
 
 
 def _of_burn(built: Built, n: int) -> str:
-    """Return the prefix of tables that the parts of a burn share: that of the first one."""
+    """Return the file-name prefix of the tables that all parts of a burn share: that of the first part."""
     first = n
     while built.stacks[first].begins_s > 0.0:
         first -= 1
@@ -98,16 +103,16 @@ def _of_burn(built: Built, n: int) -> str:
 
 
 def _times_s(stack: Stack) -> list[float]:
-    """Return the rows of tables of quantities that the burn changes."""
+    """Return the times (s) of the rows of tables that change during a burn."""
     burn = stack.burn
     both = np.concatenate([burn.times_s, np.linspace(0.0, burn.end_s, MASS_ROWS)])
     return [float(t) for t in np.unique(both.round(6))]
 
 
 def _continued(stack: Stack, rows: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
-    """Return rows of a table over time.
+    """Return the rows of a table over time, with an extrapolated row if the burn continues in the next part.
 
-    If the burn continues in the next part, they include one more for a faster burn.
+    The additional row is for a dispersed burn that is faster.
     """
     if not stack.drops_fairing:
         return rows
@@ -117,7 +122,7 @@ def _continued(stack: Stack, rows: list[tuple[float, ...]]) -> list[tuple[float,
 
 
 def _over_time(stack: Stack, columns: str, values: Iterable[tuple[float, ...]]) -> CsvFile:
-    """Return a table of the values that the burn changes, at `_times_s`."""
+    """Return a table of `columns` at the times `_times_s`."""
     return f"time_s,{columns}", _continued(stack, [(t, *row) for t, row in zip(_times_s(stack), values, strict=True)])
 
 
@@ -126,7 +131,7 @@ _LIQUID = attrgetter("mass_kg", "front_station_m")
 
 
 def _copied(value: Any, name: str, tables: Tables) -> Any:
-    """Return a section as in a file, with its tables (into `tables`) named `name` and key."""
+    """Return a section as it is written in a file. Its tables are added to `tables`, named by `name` and key."""
     if isinstance(value, CsvTable):
         tables[f"{name}.csv"] = ",".join(value.columns), list(zip(*value.columns.values(), strict=True))
         return f"{name}.csv"
@@ -151,7 +156,7 @@ def _aero(built: Built, n: int, tables: Tables) -> dict[str, Any]:
         "Clp": aero.roll_damping,
         "C_crossflow": np.full(len(aero.mach), aero.crossflow),
     }
-    if given is not None and given.coefficients:  # the given coefficients act in addition
+    if given is not None and given.coefficients:  # given coefficients already include the axial force
         worked_out = {key: worked_out[key] for key in ("Cmq", "Clp", "C_crossflow")}
     out = {} if given is None else _copied(given, name, tables)
     if missing := {key: column for key, column in worked_out.items() if key not in table}:
@@ -169,7 +174,7 @@ def _aero(built: Built, n: int, tables: Tables) -> dict[str, Any]:
 
 
 def _loads(stack: Stack, prefix: str, tables: Tables) -> dict[str, Any]:
-    """Return the masses along the body, the strength of the shells, and the liquids, for section loads."""
+    """Return the section of section loads: masses along the body, strength of the shells, and liquids."""
     stage, layout = stack.stage, stack.layout
     assert stage.loads is not None
     dry = sorted((r.front_station_m, r.rear_station_m, r.mass_kg) for r in stack.dry)
@@ -180,7 +185,7 @@ def _loads(stack: Stack, prefix: str, tables: Tables) -> dict[str, Any]:
         for above in layout.stage[stack.number :]:
             for shell in above.shell:
                 if shell.front_station_m <= x < shell.rear_station_m and shell.strength_Pa and shell.modulus_Pa:
-                    radius = shell.radius_m or 0.5 * above.diameter_m  # of a thin wall: EI = E pi R^3 t, area 2 pi R t
+                    radius = shell.radius_m or 0.5 * above.diameter_m  # of a thin wall: EI = pi E R^3 t, area 2 pi R t
                     area = 2.0 * shell.stiffness_Nm2(x, 0.5 * above.diameter_m) / (shell.modulus_Pa * radius**2)
                     limits.append((x, radius, area * shell.strength_Pa))
     if limits:
@@ -200,7 +205,7 @@ def _mode_table(built: Built, n: int) -> CsvFile:
     times, every = built.modes[n]
     if stack.drops_fairing or stack.leave_s is not None:  # `_continued`
         times, every = np.append(times, times[-1] * (1.0 + FASTER)), [*every, every[-1]]
-    if stack.begins_s > 0.0:  # tables begin with the clock
+    if stack.begins_s > 0.0:  # tables begin at zero of the clock
         times, every = np.append(0.0, times), [every[0], *every]
     for t, modes in zip(times, every, strict=True):
         now = min(max(float(t), stack.begins_s), stack.end_s) if stack.leave_s is not None else float(t)
@@ -213,7 +218,7 @@ def _mode_table(built: Built, n: int) -> CsvFile:
 
 
 def _cg_over_mach(built: Built, n: int) -> Array:
-    """Return the CG at the time of each Mach number in the ascent."""
+    """Return the CG station (m) at which the ascent passes each Mach number of the aerodynamics."""
     points = [p for p in built.flight.points if p.number == n]
     order = np.argsort([p.mach for p in points])
     cg = [built.stacks[n].mass_properties(p.clock_s).x_cg_m for p in points]
@@ -221,10 +226,12 @@ def _cg_over_mach(built: Built, n: int) -> Array:
 
 
 def _lead_rad(built: Built, p: TrajectoryPoint, k_p: float, k_d: float, rate_radps: float) -> tuple[float, float]:
-    """Return the angle of attack along the path at an instant, and the lead of the command with which the law holds it.
+    """Return the angle of attack along the path at a point, and the lead of the pitch command that holds it, both in
+    rad.
 
     In static trim, an angle of attack turns the path, and a gimbal angle holds it against M_alpha and pitch damping.
-    The law (-k_p error - k_d rate) has no integral and needs an error for both.
+    The law (-k_p error - k_d rate) has no integral, so it needs an attitude error for the gimbal angle and for the
+    rate.
     """
     stack, aero = built.stacks[p.number], built.aero[p.number]
     if p.steered_N <= 0.0 or p.excess_radps == p.incidence_rad == p.dynamic_pressure_Pa == 0.0:
@@ -241,7 +248,7 @@ def _lead_rad(built: Built, p: TrajectoryPoint, k_p: float, k_d: float, rate_rad
 
 
 def _programme(built: Built) -> CsvFile:
-    """Return the pitch rate with which the law flies the point-mass path."""
+    """Return the pitch-rate programme with which the law flies the point-mass path."""
     every, gains = built.flight.points, np.array(built.gains)
     points = [p for p, q in pairwise(every) if p.time_s < q.time_s] + every[-1:]  # a separation may be instantaneous
     t, end = np.array([p.time_s for p in points]), built.flight.points[-1].time_s
@@ -366,7 +373,9 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
 
 
 def _of_motor(e: LayoutThrust) -> dict[str, float]:
-    """Return the keys of an engine that its layout and its vehicle file share, if given."""
+    """Return the keys of a motor that have the same names in the layout and in the vehicle file, unless they are
+    zero.
+    """
     return {key: value for key in ("temperature_sensitivity_1pK", "roll_arm_m") if (value := getattr(e, key)) != 0.0}
 
 
@@ -385,7 +394,7 @@ def _tank(t: LayoutTank, table: str) -> dict[str, Any]:
 
 
 def _boosters(built: Built, n: int, tables: Tables) -> list[dict[str, Any]]:
-    """Return the attached boosters; those of a set share their tables."""
+    """Return the sections of the attached boosters. Those of a set share their tables."""
     out, aero = [], built.aero[n]
     for k, s in enumerate(built.stacks[n].boosters):
         b, e, prefix = s.booster, s.booster.engine, f"booster_{s.booster.name}_"
@@ -424,10 +433,10 @@ def _boosters(built: Built, n: int, tables: Tables) -> list[dict[str, Any]]:
 
 
 def _filter(built: Built, n: int) -> dict[str, Any]:
-    """Return a first filter of a stage: a wide notch at each of its first two modes that the sampling resolves, and
-    poles below them.
+    """Return a first filter of stack `n`: wide notches at its first two modes that the sampling resolves, with lower
+    poles.
 
-    If mode 1 is far above the rigid body, the poles are a low pass that attenuates all modes.
+    If mode 1 is far above the rigid body, one notch with low poles acts as a low pass that attenuates all modes.
     """
     modes, most_hz = built.modes[n][1], SHOWN / built.layout.control.sample_s
     if not modes or not modes[0]:
@@ -447,9 +456,9 @@ def _filter(built: Built, n: int) -> dict[str, Any]:
 
 
 def _roll(built: Built, n: int) -> dict[str, Any]:
-    """Return the roll control of a stage: by thrusters, and by the gimbals if engines are off the axis.
+    """Return the roll control of stack `n`: by thrusters, and also by the gimbals if engines are off the axis.
 
-    Frequency and damping are similar to those of the first gains of pitch.
+    Frequency and damping of the gimbal law are those of the first gains in pitch, at the first point of full thrust.
     """
     out: dict[str, Any] = {"roll": {"k_rate_s": 0.5, "dead_band_deg": 1.0, "hysteresis_deg": 0.2, "minimum_on_s": 0.02}}
     stack, e = built.stacks[n], built.stacks[n].stage.engine
@@ -483,7 +492,7 @@ def _design(built: Built) -> dict[str, Any]:
 
 
 def _requirements(built: Built) -> list[dict[str, Any]]:
-    """Return the requirements of the control, with a margin for winds."""
+    """Return the requirements on control, with margin for winds."""
     stages = built.layout.stage
     limits = {
         "attitude error": ("max_attitude_error_deg", 10.0),
@@ -517,13 +526,15 @@ def _scenario(built: Built) -> dict[str, Any]:
 
 
 def _coasts_s(built: Built) -> float:
-    """Return the time that further burns of the last engine may take, at most a revolution each until an apogee."""
+    """Return an upper bound of the time for further burns of the last engine, with a revolution for each unlimited
+    coast.
+    """
     burn_s = built.flight.stacks[-1].burn.end_s
     return sum((each.coast_s or REVOLUTION_s) + burn_s for each in built.layout.trajectory.restart)
 
 
 def _closed_loop(built: Built) -> dict[str, Any]:
-    """Return guidance to the layout's orbit.
+    """Return the keys of closed-loop guidance to the layout's orbit, none without an apogee.
 
     Raises ScenarioError for an apogee that the point-mass ascent does not reach.
     """
@@ -557,7 +568,7 @@ def _case(built: Built) -> dict[str, Any]:
     assert judged is not None
     asked, off, spread = dict(judged.nominal), dict(judged.dispersed), judged.three_sigma
     slope, damping = float(np.max(spread.bending_slope)), float(np.max(spread.bending_damping))
-    grows_db = 20.0 * math.log10((1.0 + slope) / (1.0 - damping))  # peaks of modes
+    grows_db = 20.0 * math.log10((1.0 + slope) / (1.0 - damping))  # growth of the peaks of modes
     peak_db = round(min(asked["modes_from_2_db"], off["modes_from_2_db"] - grows_db) - ROOM_DB, 1)
     times_s, hz = least_rigid_hz(built, max(asked["gain_up_db"], asked["gain_down_db"]))
     least_hz = hz[0] if len(set(hz)) == 1 else {"time_s": times_s, "value": hz}

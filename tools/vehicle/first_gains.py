@@ -1,12 +1,10 @@
 """First gains that control their own flight.
 
-The linear model checks them there, and a search replaces them if the formula fails.
-
-`build` sets frequency and damping of the rigid body, without the phase of a slosh or bending mode. If the sampled loop
-is unstable at operating points of the flight, the case of the vehicle is solved for the stages concerned. If the flight
-is lost, it is solved for all stages. The solution uses few operating points, few starts and one round along a flight
-that keeps control. Gains, filters and the leads of the pitch programme are those of the result, whether it meets the
-limits of the case or not.
+`build` sets the frequency and damping of the rigid body, without regard to the phase of slosh and bending modes. This
+module checks the sampled loop along the flight with these gains. If it is unstable at operating points, the case of the
+vehicle is solved for the stages concerned; if the flight is lost, for all stages. The search uses few operating points,
+few starts and one round along a flight that keeps control. Its gains, filters and leads of the pitch programme are used
+whether or not they meet the limits of the case.
 """
 
 from __future__ import annotations
@@ -27,18 +25,18 @@ from maxq.sim.scenario.loader import load_scenario
 from maxq.tools.vehicle.build import Built, dozen
 from maxq.tools.vehicle.files import write
 
-POINTS = 15  # of each stage, at which first gains are checked
+POINTS = 15  # operating points of each stage at which first gains are checked
 SEARCH = ("nodes_per_stage=11", "search.starts=2", "search.leaps=0", "between_nodes='ignore'", "gains.schedule='free'")
-SHOWN = 6  # times in a message
+SHOWN = 6  # most times named in a message
 
 
 @dataclass(frozen=True)
 class FirstGains:
-    """The first gains along their own flight, in pitch: times of unstable loops, and the least gain margin of the
-    others.
+    """The result of checking first gains in pitch along their own flight.
 
-    `loss` is that of the flight, after which there are no points. `searched` is True if the optimiser has found the
-    gains.
+    `unstable_s` are the times of operating points with an unstable loop. `gain_margin_db` is the least gain margin of
+    the others, at `at_s`. `loss` is the loss of the flight, after which there are no points. `searched` is True if the
+    optimiser has found the gains.
     """
 
     points: int
@@ -47,7 +45,7 @@ class FirstGains:
     gain_margin_db: float
     at_s: float
     searched: bool = False
-    unstable_stages: tuple[int, ...] = ()  # from 0
+    unstable_stages: tuple[int, ...] = ()  # numbered from 0
 
     @property
     def hold(self) -> bool:
@@ -56,7 +54,7 @@ class FirstGains:
 
     @property
     def text(self) -> str:
-        """Return one sentence of text."""
+        """Return the result in one sentence."""
         by = " by search," if self.searched else ""
         if self.hold:
             least = f"least gain margin {self.gain_margin_db:.2f} dB at {self.at_s:.1f} s"
@@ -71,7 +69,11 @@ class FirstGains:
 def write_with_first_gains(
     built: Built, folder: Path, progress: Callable[[str, int, int], None] = lambda *_: None
 ) -> tuple[Built, list[Path], FirstGains]:
-    """Write a vehicle, check its first gains along their own flight, and search for others if they fail."""
+    """Write a vehicle, check its first gains along their own flight, and search for others if they fail.
+
+    Return the vehicle, the paths of its files, and the check of its gains. The gains of the search are discarded if
+    they leave more points unstable.
+    """
     files = write(built, folder)
     progress("flying the first gains", 0, 0)
     found = checked(folder)
@@ -95,7 +97,7 @@ def write_with_first_gains(
 
 
 def checked(folder: Path) -> FirstGains:
-    """Fly the vehicle in a folder with its own design, and measure its sampled loop along that flight."""
+    """Fly the vehicle in a folder with its own design, and check its sampled loops along that flight."""
     scenario = load_scenario(folder / "scenario.toml")
     assert scenario.design is not None
     loss = powered_flight(scenario)[1]
@@ -112,7 +114,7 @@ def checked(folder: Path) -> FirstGains:
 
 
 def with_design(built: Built, made: CaseDesign) -> Built:
-    """Return the vehicle with the gains and filters of a design. The stages that it omits keep their own."""
+    """Return the vehicle with the gains and filters of a design. Stages outside the design keep theirs."""
     design, done = made.design, {solution.nodes[0].stage for _, solution in made.results}
     rows = {row[0]: row for p, row in zip(dozen(built), built.gains, strict=True) if p.number not in done}
     for _, solution in made.results:

@@ -52,7 +52,7 @@ class Between(Section):
 
 
 class DryMass(Between):
-    """A dry mass, uniform between two stations, on a thin ring."""
+    """A dry mass on a thin ring, spread evenly between two stations."""
 
     name: str = Field(description="name of the part")
     mass_kg: Positive = Field(description="kg")
@@ -79,7 +79,7 @@ class Shell(Between):
             raise refuse("no stiffness, or two", "EI_Nm2, or wall_m with modulus_Pa", ("EI_Nm2",))
 
     def stiffness_Nm2(self, station_m: float, radius_m: float) -> float:
-        """Return the bending stiffness at a station. `radius_m` is that of the stage."""
+        """Return the bending stiffness at a station. `radius_m` is the radius of the stage."""
         if self.EI_Nm2 is None:
             return math.pi * (self.modulus_Pa or 0.0) * (self.radius_m or radius_m) ** 3 * (self.wall_m or 0.0)
         share = (station_m - self.front_station_m) / (self.rear_station_m - self.front_station_m)
@@ -87,7 +87,7 @@ class Shell(Between):
 
 
 class LayoutTank(Section):
-    """An upright tank on the axis with the propellant in it."""
+    """An upright tank on the axis, and the propellant in it."""
 
     name: values.ChannelPart = Field(description="name of the tank in logs")
     liquid_mass_kg: Positive = Field(description="propellant at liftoff, kg")
@@ -102,7 +102,7 @@ class LayoutTank(Section):
 
     @property
     def profile(self) -> Profile:
-        """Return the profile, in radii."""
+        """Return the profile of the tank, in units of its radius."""
         bottom, top = (dome / self.radius_m for dome in self.dome_m)
         return Profile(bottom, self.height_m / self.radius_m - bottom - top, top)
 
@@ -127,7 +127,10 @@ class Grain(Between):
 
 
 def check_grains(grains: tuple[Grain, ...], radius_m: float) -> None:
-    """Check that each port is inside its grain; `radius_m` is that of the stage."""
+    """Check that each port is inside its grain. `radius_m` is the radius of the stage.
+
+    Raises the error of an input file at the first port that is not.
+    """
     for n, grain in enumerate(grains):
         outside = grain.radius_m or radius_m
         if (port := grain.port_radius_m) is not None and port >= outside:
@@ -141,7 +144,7 @@ class LoadSections(Section):
     axial_force: Annotated[CsvTable, SHARE_COLUMNS] | None = optional("as in a vehicle file")
 
 
-_STACKED = ("upper", "middle", "lower")  # z is down
+_STACKED = ("upper", "middle", "lower")  # names of groups by the sign of z, which points down
 
 
 class LayoutThrust(Section):
@@ -184,7 +187,7 @@ class LayoutThrust(Section):
 
 
 class LayoutEngines(LayoutThrust):
-    """The engines of a stage, all equal. Several engines form groups left of the axis, right of it and between."""
+    """The engines of a stage, all equal. Several engines form groups to the left and right of the axis, and on it."""
 
     gimballed_mass_kg: NotNegative | None = optional("mass that moves, kg (default: 0.8 of mass_kg)")
     cg_from_gimbal_m: NotNegative | None = optional("of that mass aft of the gimbal, m (default: 0.3 of the length)")
@@ -208,7 +211,7 @@ class LayoutEngines(LayoutThrust):
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Return the side of the axis at which each engine is; above and below if all are in the plane of pitch."""
+        """Return the group of each engine: its side of the axis, or above and below if all are in the pitch plane."""
         across, names = (0, ("left", "middle", "right")) if any(y for y, _ in self.positions_m) else (1, _STACKED)
         return tuple(names[int(np.sign(at[across])) + 1] for at in self.positions_m)
 
@@ -225,7 +228,7 @@ class LayoutFins(Section):
 
 
 class LayoutBooster(Between):
-    """Equal boosters attached to the core of a stage, rigid bodies with fixed nozzles."""
+    """Equal boosters attached to the core of a stage: rigid bodies with fixed nozzles."""
 
     name: values.ChannelPart = Field(description="name of the booster; several have a number behind it")
     positions_m: tuple[Pair, ...] = Field(min_length=1, description="axis of each, y and z from the body axis, m")
@@ -247,12 +250,12 @@ class LayoutBooster(Between):
 
     @property
     def shell(self) -> tuple[Shell, ...]:
-        """Return no structure, because the body is rigid."""
+        """Return an empty structure, because the body is rigid."""
         return ()
 
     @property
     def usable_kg(self) -> float:
-        """Return the propellant that burns."""
+        """Return the mass of the propellant that one booster burns."""
         return sum(t.liquid_mass_kg - t.residual_kg for t in self.tank) + sum(g.mass_kg for g in self.grain)
 
     @property
@@ -269,7 +272,7 @@ class LayoutBooster(Between):
 
 
 class LayoutStage(Between):
-    """A stage with its extent in the vehicle."""
+    """A stage and its extent in the vehicle."""
 
     name: values.ChannelPart = Field(description="name of the stage")
     diameter_m: Positive = Field(description="m")
@@ -295,7 +298,7 @@ class LayoutStage(Between):
 
     @property
     def usable_kg(self) -> float:
-        """Return the propellant that burns."""
+        """Return the mass of the propellant that the stage burns, without boosters."""
         return sum(t.liquid_mass_kg - t.residual_kg for t in self.tank) + sum(g.mass_kg for g in self.grain)
 
     def _check(self) -> None:
@@ -411,7 +414,9 @@ class Layout(Section):
 
     @property
     def azimuth_deg(self) -> float:
-        """Return the launch azimuth, given or from the inclination."""
+        """Return the launch azimuth, as given or from the inclination. Raises ValueError if no plane has the
+        inclination.
+        """
         if self.site.azimuth_deg is not None:
             return self.site.azimuth_deg
         wanted, (perigee_m, apogee_m) = self.trajectory, self._orbit_m()
@@ -420,7 +425,7 @@ class Layout(Section):
         return launch_azimuth_deg(self.site.latitude_deg, wanted.inclination_deg, perigee_m, apogee_m, southwards=way)
 
     def _orbit_m(self) -> tuple[float, float]:
-        """Return the radii of perigee and apogee of the first orbit; the apogee is that of a circle unless given."""
+        """Return the radii of perigee and apogee of the first orbit, which is circular unless an apogee is given."""
         perigee_m = self.trajectory.orbit_altitude_m or 0.0
         return WGS84_RADIUS_m + perigee_m, WGS84_RADIUS_m + (self.trajectory.apogee_altitude_m or perigee_m)
 
@@ -465,5 +470,5 @@ class Layout(Section):
 
 
 def read_layout(name: str | Path) -> Layout:
-    """Read the layout in a file. Raises ScenarioError."""
+    """Read the layout in a file, or the built-in layout of that name. Raises ScenarioError."""
     return load_file(Layout, "layout", name, ())[0]

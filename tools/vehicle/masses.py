@@ -1,4 +1,4 @@
-"""Mass, CG and inertia of a layout over a stage's burn, and the masses that load the beam."""
+"""The mass, CG and inertia of a layout over a stage's burn, and the masses that load the beam."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from maxq.tools.vehicle.layout import (
 )
 
 _RAMP_ROWS, _STEADY_ROWS = 9, 20
-_LEAST_LENGTH_m = 1e-4  # of a burned grain
-_BEFORE_S = 0.01  # from the last instant with boosters to their separation
+_LEAST_LENGTH_m = 1e-4  # least length of a burned grain
+_BEFORE_S = 0.01  # from the last operating point with boosters to their separation
 
 
 @dataclass(frozen=True)
 class Rod:
-    """A mass spread evenly between two stations, with the squared gyration radii of its cross-section."""
+    """A mass spread evenly between two stations, with the squared radii of gyration of its cross-section."""
 
     mass_kg: float
     front_station_m: float
     rear_station_m: float
     roll_m2: float  # Ixx / m
-    across_m2: float  # of the transverse inertia / m, in addition to L^2 / 12
+    across_m2: float  # transverse inertia / m, without L^2 / 12
 
     @property
     def station_m(self) -> float:
@@ -46,21 +46,21 @@ class Rod:
 
     @property
     def inertia_kgm2(self) -> float:
-        """Return the transverse inertia about its own CG."""
+        """Return the transverse moment of inertia about the CG of the rod."""
         length = self.rear_station_m - self.front_station_m
         return self.mass_kg * (length**2 / 12.0 + self.across_m2)
 
 
 def ring(mass_kg: float, front_m: float, rear_m: float, radius_m: float) -> Rod:
-    """Return a thin ring or tube."""
+    """Return the mass of a thin ring or tube."""
     return Rod(mass_kg, front_m, rear_m, radius_m**2, 0.5 * radius_m**2)
 
 
 @dataclass(frozen=True)
 class MassProperties:
-    """The mass properties about the CG in body axes.
+    """Mass properties about the CG in body axes.
 
-    The liquids are frozen laterally and do not rotate about the axis.
+    Liquids are frozen: they do not slosh. Only the share `roll_share` of a liquid rotates about the roll axis.
     """
 
     mass_kg: float
@@ -71,23 +71,23 @@ class MassProperties:
 
 @dataclass(frozen=True)
 class ThrustCurve:
-    """The thrust in vacuum and the flow of all engines of a stage over its clock.
+    """The thrust in vacuum and the propellant flow of all engines of a stage over its clock.
 
-    PCHIP between the rows defines the thrust and the flow. `thrust_vacuum_N` is linear between the rows of a computed
-    curve, which are close enough.
+    Both are PCHIP interpolations of the rows. `thrust_vacuum_N` is linear between the rows of a computed curve, which
+    are close together.
 
-    `flow` is in any unit, because all of it is the usable propellant; without it, the flow is proportional to the
-    thrust. `used_shares` are those of the usable propellant, burned before and at the end.
+    The unit of `flow` is arbitrary, because its integral is the usable propellant; without it, the flow is proportional
+    to the thrust. `used_shares` are the shares of the usable propellant burned before this curve and at its end.
     """
 
     times_s: Array
     thrust_N: Array
     usable_kg: float
     start_s: float
-    full_s: tuple[float, float]  # from, to: full thrust
+    full_s: tuple[float, float]  # begin and end of full thrust
     used_shares: tuple[float, float] = (0.0, 1.0)
     flow: Array | None = None
-    given: bool = False  # by a table of the layout, whose rows may be far apart
+    given: bool = False  # True for a table of the layout, whose rows may be far apart
 
     @cached_property
     def _thrust(self) -> PchipInterpolator:
@@ -107,7 +107,9 @@ class ThrustCurve:
 
     @property
     def burned_kg(self) -> float | None:
-        """Return the propellant that burns by the given flow, linear between its rows, in kg if its unit is kg/s."""
+        """Return the integral of the given flow, linear between its rows: the propellant in kg if the flow is in
+        kg/s.
+        """
         return None if self.flow is None else float(np.trapezoid(self.flow, self.times_s))
 
     @property
@@ -122,13 +124,13 @@ class ThrustCurve:
         return float(np.interp(t, self.times_s, self.thrust_N))
 
     def used(self, t: float) -> float:
-        """Return the share of the usable propellant burned by t, 0 to exactly 1."""
+        """Return the share of the usable propellant burned by time `t` (s), from 0 to exactly 1."""
         share = float(np.clip(self._spent(np.clip(t, 0.0, self.end_s)) / self._spent(self.end_s), 0.0, 1.0))
         before, after = self.used_shares
         return before * (1.0 - share) + after * share
 
     def split(self, t: float) -> tuple[ThrustCurve, ThrustCurve]:
-        """Return the curve up to `t` (s), and the rest of it on a clock that starts at `t`."""
+        """Return the curve up to time `t` (s), and its remainder on a clock that starts at `t`."""
         at, early, late = float(self._thrust(t)), self.times_s < t - 1e-6, self.times_s > t + 1e-6
         first = np.append(self.times_s[early], t), np.append(self.thrust_N[early], at)
         rest = np.insert(self.times_s[late] - t, 0, 0.0).round(6), np.insert(self.thrust_N[late], 0, at)
@@ -144,11 +146,11 @@ class ThrustCurve:
 
 
 def burn_of(stage: LayoutStage | LayoutBooster, ignition_s: float) -> ThrustCurve:
-    """Return a curve with smooth steps up and down.
+    """Return the thrust curve of a burn that starts at `ignition_s` of the clock.
 
-    The duration of full thrust gives the impulse of the usable propellant.
-
-    Between the steps, the thrust falls linearly to `thrust_end_share` of its initial value.
+    A table in the layout defines it. Otherwise the thrust rises and falls in smooth steps and, between them, decreases
+    linearly to `thrust_end_share` of its initial value. The duration follows from the impulse of the usable propellant.
+    Raises ValueError if the propellant lasts for less than the two steps.
     """
     e, usable = stage.engine, stage.usable_kg
     if e.thrust is not None:
@@ -173,7 +175,7 @@ def burn_of(stage: LayoutStage | LayoutBooster, ignition_s: float) -> ThrustCurv
 
 
 def _burn_of_table(table: CsvTable, engines: int, usable_kg: float, ignition_s: float) -> ThrustCurve:
-    """Return a given curve of thrust, from ignition. Full thrust is the part above half its mean."""
+    """Return the thrust curve of a table over the time from ignition. Full thrust is the part above half the mean."""
     times, thrust = ignition_s + table["time_s"] - table["time_s"][0], engines * table["thrust_vacuum_N"]
     flow = None
     if "isp_vacuum_s" in table:
@@ -190,14 +192,14 @@ def _burn_of_table(table: CsvTable, engines: int, usable_kg: float, ignition_s: 
 
 @dataclass(frozen=True)
 class Strapped:
-    """Equal boosters of a stack, and the burn of one of them on the clock of the stage."""
+    """A set of equal boosters of a stack, with the burn of a single booster on the clock of the stage."""
 
     booster: LayoutBooster
     burn: ThrustCurve
 
     @property
     def leave_s(self) -> float:
-        """Return the time of their separation."""
+        """Return the time of their separation on the stage's clock."""
         return self.burn.end_s + self.booster.separation_after_s
 
     @cached_property
@@ -205,38 +207,38 @@ class Strapped:
         return _dry(self.booster)
 
     def liquid_kg(self, tank: LayoutTank, t: float) -> float:
-        """Return the mass of the liquid in a tank (kg) at `t` (s). All tanks drain in proportion."""
+        """Return the mass of the liquid in a tank at time `t` (s). All tanks drain in proportion."""
         return tank.liquid_mass_kg - (tank.liquid_mass_kg - tank.residual_kg) * self.burn.used(t)
 
     def rods(self, t: float) -> list[Rod]:
-        """Return all masses of one booster."""
+        """Return all masses of one booster at time `t` (s)."""
         left, radius = 1.0 - self.burn.used(t), 0.5 * self.booster.diameter_m
         liquids = [_column(tank, self.liquid_kg(tank, t)) for tank in self.booster.tank]
         return [*self.dry, *liquids, *(_grain(g, left, radius) for g in self.booster.grain)]
 
     def mass_properties(self, t: float) -> MassProperties:
-        """Return the mass properties of one booster about its own CG."""
+        """Return the mass properties of one booster about its own CG at time `t` (s)."""
         return properties_of(self.rods(t))
 
 
 @dataclass(frozen=True)
 class Stack:
-    """The vehicle while one stage burns: the stage and everything ahead of it.
+    """The vehicle during one part of a burn: the burning stage and everything ahead of it.
 
-    A stage that drops the fairing during its burn has two stacks. A stage with boosters has one more for each of their
-    separations; they share one burn and its clock. `boosters`: those attached, which stay longest first. The stack
-    flies from `begins_s` to `end_s` of its clock.
+    A burn during which the fairing is dropped has two stacks. A stage with boosters has a further stack for each of
+    their separations; its stacks share one burn and its clock. `boosters` are those attached, the last to separate
+    first. The stack flies from `begins_s` to `end_s` of its clock.
     """
 
     layout: Layout
-    number: int  # of the stage
+    number: int  # index of the stage
     burn: ThrustCurve
     fairing: bool
     name: str
     drops_fairing: bool = False  # at the end of this part of the burn
     boosters: tuple[Strapped, ...] = ()
     begins_s: float = 0.0
-    leave_s: float | None = None  # boosters leave at the end of this part
+    leave_s: float | None = None  # end of this part by the separation of boosters
 
     @property
     def end_s(self) -> float:
@@ -245,12 +247,14 @@ class Stack:
 
     @property
     def full_s(self) -> tuple[float, float]:
-        """Return the times between which the core has full thrust in this part, before boosters leave."""
+        """Return the times between which the core has full thrust in this part, before any boosters separate."""
         begin, end = self.burn.full_s
         return max(begin, self.begins_s), end if self.leave_s is None else min(end, self.leave_s - _BEFORE_S)
 
     def tail_share(self, t: float) -> float:
-        """Return the core's thrust in a long tail-off as a share of that at its beginning, and 1 elsewhere."""
+        """Return the core's thrust relative to the start of a long tail-off, at most 1. It is 1 outside a long
+        tail-off.
+        """
         end_s = self.full_s[1]
         if t <= end_s or not self.has_long_tail:
             return 1.0
@@ -262,13 +266,15 @@ class Stack:
         return self.leave_s is None and self.burn.end_s - self.full_s[1] >= LONG_TAIL_S
 
     def thrusts_N(self, t: float, pressure_Pa: float) -> tuple[float, float]:
-        """Return the thrust of all engines at ambient pressure, and that of the core's, which are gimballed."""
+        """Return the thrust of all engines at ambient pressure, and that of the core's engines alone, which are
+        gimballed.
+        """
         own = _net_N(self.burn, self.stage.engine, t, pressure_Pa)
         others = (len(s.booster.positions_m) * _net_N(s.burn, s.booster.engine, t, pressure_Pa) for s in self.boosters)
         return own + sum(others), own
 
     def used_kg(self, t: float) -> float:
-        """Return the propellant that the stage and its attached boosters have burned."""
+        """Return the propellant burned by the stage and its attached boosters until time `t` (s)."""
         others = sum(len(s.booster.positions_m) * s.booster.usable_kg * s.burn.used(t) for s in self.boosters)
         return self.stage.usable_kg * self.burn.used(t) + others
 
@@ -278,12 +284,14 @@ class Stack:
 
     @property
     def tail_m(self) -> float:
-        """Return the end of the beam: the gimbal of the burning engines."""
+        """Return the station of the beam's aft end, which is the gimbal of the burning engines."""
         return self.stage.engine.gimbal_station_m
 
     @cached_property
     def dry(self) -> list[Rod]:
-        """Return the structure, engines and, of the stages ahead, full tanks."""
+        """Return the masses that do not burn: fairing, structure and engines, and the full tanks and grains of upper
+        stages.
+        """
         rods = []
         if self.fairing and (f := self.layout.fairing) is not None:
             rods.append(ring(f.mass_kg, f.front_station_m, f.rear_station_m, 0.5 * self.layout.stage[-1].diameter_m))
@@ -295,7 +303,9 @@ class Stack:
         return rods
 
     def liquid_kg(self, tank: LayoutTank, t: float) -> float:
-        """Return the liquid in a tank of the burning stage. All tanks drain in proportion."""
+        """Return the mass of the liquid in a tank of the burning stage at time `t` (s). All tanks drain in
+        proportion.
+        """
         return tank.liquid_mass_kg - (tank.liquid_mass_kg - tank.residual_kg) * self.burn.used(t)
 
     def liquids(self, t: float) -> list[Rod]:
@@ -307,7 +317,7 @@ class Stack:
 
     @cached_property
     def mass_properties(self) -> Callable[[float], MassProperties]:
-        """Return the mass properties at a time of the stage's clock, boosters included. The result is cached."""
+        """Return a cached function of the stage's clock (s) to the mass properties, boosters included."""
         return cache(self._mass_properties)
 
     def core_properties(self, t: float) -> MassProperties:
@@ -328,7 +338,7 @@ class Stack:
 
 
 def properties_of(rods: Sequence[Rod]) -> MassProperties:
-    """Return the mass properties of masses on one axis."""
+    """Return the mass properties of masses on a common axis."""
     mass = sum(r.mass_kg for r in rods)
     cg = sum(r.mass_kg * r.station_m for r in rods) / mass
     pitch = sum(r.inertia_kgm2 + r.mass_kg * (r.station_m - cg) ** 2 for r in rods)
@@ -336,13 +346,13 @@ def properties_of(rods: Sequence[Rod]) -> MassProperties:
 
 
 def _net_N(burn: ThrustCurve, e: LayoutThrust, t: float, pressure_Pa: float) -> float:
-    """Return the thrust of engines at ambient pressure; `burn` has that of all of them in vacuum."""
+    """Return the thrust of engines at ambient pressure, not below 0. `burn` has the thrust of all of them in vacuum."""
     vacuum = burn.thrust_vacuum_N(t)
     return max(vacuum - pressure_Pa * e.exit_area_m2 * len(e.positions_m), 0.0) if vacuum > 0.0 else 0.0
 
 
 def _dry(stage: LayoutStage | LayoutBooster) -> list[Rod]:
-    """Return the parts, structure and engines of a stage or a booster."""
+    """Return the parts, the structure and the engines of a stage or booster."""
     rods = []
     radius, e = 0.5 * stage.diameter_m, stage.engine
     rods += [_part(p, p.radius_m or radius) for p in stage.part]
@@ -365,9 +375,9 @@ def _part(part: DryMass, radius_m: float) -> Rod:
 
 
 def _grain(grain: Grain, left: float, radius_m: float) -> Rod:
-    """Return the share `left` of a grain, a hollow cylinder. `radius_m` is that of the stage.
+    """Return the remaining share `left` of a grain as a hollow cylinder. `radius_m` is the radius of the stage.
 
-    A port of radius r in a grain of radius R grows to r^2 = R^2 - left (R^2 - r_0^2). An end-burning grain becomes
+    A port of radius r_0 in a grain of radius R grows to r^2 = R^2 - left (R^2 - r_0^2). An end-burning grain becomes
     shorter from its aft face.
     """
     outside = (grain.radius_m or radius_m) ** 2
@@ -379,7 +389,7 @@ def _grain(grain: Grain, left: float, radius_m: float) -> Rod:
 
 
 def _column(tank: LayoutTank, mass_kg: float) -> Rod:
-    """Return a liquid as a rod with its centroid and depth. In a dome, the depth is that of the same centroid."""
+    """Return a liquid as a rod with its centroid and depth. In a dome, the rod is shortened to keep the centroid."""
     profile, r = tank.profile, tank.radius_m
     depth = float(profile.depth(np.array(mass_kg / (tank.density_kgpm3 * r**3))))
     z = np.linspace(0.0, depth, 201)
@@ -392,10 +402,10 @@ def _column(tank: LayoutTank, mass_kg: float) -> Rod:
 
 
 def stacks(layout: Layout) -> list[Stack]:
-    """Return the stacks in the order of flight, all with the fairing: one for each stage, and with boosters for each
-    of their separations.
+    """Return the stacks in the order of flight, all with the fairing.
 
-    Raises ValueError for too short a burn, and for boosters that leave after the stage has burned out.
+    Each stage has a stack, and a further stack for each separation of boosters. Raises ValueError for too short a burn,
+    and for boosters that separate after the full thrust of their stage.
     """
     out = []
     for n, stage in enumerate(layout.stage):
@@ -415,7 +425,9 @@ def stacks(layout: Layout) -> list[Stack]:
 
 
 def without_fairing(every: Sequence[Stack], number: int, clock_s: float) -> list[Stack]:
-    """Return the stacks if the fairing is dropped at `clock_s` of the burn of stack `number`."""
+    """Return the stacks with the fairing dropped at `clock_s` of the burn of stack `number`, which becomes two
+    stacks.
+    """
     out = list(every[:number])
     first, rest = every[number].burn.split(clock_s)
     out.append(replace(every[number], burn=first, drops_fairing=True))
@@ -424,7 +436,9 @@ def without_fairing(every: Sequence[Stack], number: int, clock_s: float) -> list
 
 
 def engine_inertia(e: LayoutEngines) -> tuple[float, float, float]:
-    """Return the gimballed mass, its CG aft of the gimbal, and transverse inertia about the gimbal, of one engine."""
+    """Return the gimballed mass of one engine, its CG aft of the gimbal, and its transverse inertia about the
+    gimbal.
+    """
     length = e.exit_station_m - e.gimbal_station_m
     mass = 0.8 * e.mass_kg if e.gimballed_mass_kg is None else e.gimballed_mass_kg
     arm = 0.3 * length if e.cg_from_gimbal_m is None else e.cg_from_gimbal_m
@@ -432,8 +446,9 @@ def engine_inertia(e: LayoutEngines) -> tuple[float, float, float]:
 
 
 def line_density_kgpm(rods: Sequence[Rod], edges_m: Array) -> tuple[Array, tuple[float, float, float]]:
-    """Return the mass per length of the elements between `edges_m`, and the mass, the moment and the inertia about
-    their end of the parts behind.
+    """Return the mass per length of the elements between `edges_m`, and the mass behind the last edge with its moments.
+
+    The latter is the mass (kg), first moment (kg m) and moment of inertia (kg m2) about the last edge.
     """
     density, behind = np.zeros(len(edges_m) - 1), np.zeros(3)
     end, element = float(edges_m[-1]), np.diff(edges_m)

@@ -11,13 +11,13 @@ from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, on_the_pad, spread, warnings
 
-LayoutRows = list[tuple[str, ...]]  # the first is the head
+LayoutRows = list[tuple[str, ...]]  # the first row is the head
 
 
 class LayoutTable(NamedTuple):
-    """A table of a vehicle; the first row is its head.
+    """A table that describes a vehicle; the first row is its head.
 
-    `note` is printed below it. `caption` is that on the page, which explains the columns by `MEANINGS`.
+    `note` is printed below it. `caption` is used on the page, where `MEANINGS` explains the columns.
     """
 
     heading: str
@@ -45,11 +45,11 @@ MEANINGS = {
     "k_p": "first gain from attitude error to gimbal command",
     "k_d, s": "first gain from body rate to gimbal command",
 }
-"""The meanings of columns by head."""
+"""The meanings of the columns by their heads."""
 
 
 def report(built: Built) -> str:
-    """Return the whole text."""
+    """Return the text of the whole report."""
     parts = [[printable(f"{built.layout.name}: {built.layout.description}".rstrip(": "))]]
     for heading, note, rows, _ in tables(built):
         less = [n for n, name in enumerate(rows[0]) if name in ("CG, m", "CP, m")]  # omitted on a narrow terminal
@@ -59,7 +59,7 @@ def report(built: Built) -> str:
 
 
 def numbers(head: tuple[str, ...]) -> list[int]:
-    """Return the columns of a table that hold numbers."""
+    """Return the indices of the columns of a table that contain numbers."""
     return [n for n, name in enumerate(head) if name != "stage"]
 
 
@@ -69,7 +69,7 @@ def tables(built: Built) -> list[LayoutTable]:
 
 
 def notes(built: Built) -> list[tuple[str, list[str]]]:
-    """Return the titles and lines of the assumptions and of unusual values."""
+    """Return the titles and lines of the assumptions and of the unusual values, without empty lists."""
     both = (("assumptions beyond the layout", built.assumed), ("unusual", warnings(built)))
     return [(title, lines) for title, lines in both if lines]
 

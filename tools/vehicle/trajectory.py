@@ -1,10 +1,10 @@
-"""The point-mass ascent of a layout in the plane of the launch, over a spherical, rotating Earth: vertical rise,
-pitch-over, gravity turn.
+"""The point-mass ascent of a layout in the launch plane over a spherical, rotating Earth.
 
-The upper stages reach an orbit by a linear tangent law. There is no wind, and the air rotates with the Earth.
+A vertical rise, a pitch-over and a gravity turn follow each other. The upper stages reach an orbit by a linear tangent
+law. There is no wind, and the air rotates with the Earth.
 
-Speed and path angle are relative to the Earth, the path angle above the local horizon, in rad. Gravity has its J2 term
-along the vertical. The Earth's rotation adds a velocity component across the plane, which affects only the orbit.
+Speed and path angle are relative to the Earth, the path angle in rad above the local horizon. Gravity includes the J2
+term along the vertical. The Earth's rotation adds a velocity component across the plane, which affects only the orbit.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from maxq.tools.vehicle.aerodynamics import Aerodynamics
 from maxq.tools.vehicle.layout import Layout
 from maxq.tools.vehicle.masses import Stack, without_fairing
 
-STEERING_BLEND_s = 15.0  # from the gravity turn's attitude to that of the tangent law
+STEERING_BLEND_s = 15.0  # from the attitude of the gravity turn to that of the tangent law
 _LEAST_SPEED_mps = 1.0
-_LEAST_SHARE = 0.02  # of a burn with the fairing, so that it has operating points
+_LEAST_SHARE = 0.02  # least share of a burn flown with the fairing, so that it has operating points
 _STEP_s = 10.0
-_KICK_STEP = 0.0025  # of the scaled pitch-over: 0.25 mrad
+_KICK_STEP = 0.0025  # step of the scaled pitch-over: 0.25 mrad
 TrajectoryState = tuple[float, float, float, float]  # range m, altitude m, speed m/s, path angle rad
 
 
 @dataclass(frozen=True)
 class TrajectoryPoint:
-    """An instant of the ascent: stack and its clock, flight time, and the forces."""
+    """A point of the ascent: its stack, the time on the stack's clock and in flight, the state, and the forces."""
 
     number: int
     clock_s: float
@@ -49,28 +49,28 @@ class TrajectoryPoint:
     speed_mps: float
     path_rad: float
     thrust_N: float
-    steered_N: float  # thrust of the engines that are gimballed
+    steered_N: float  # thrust of the gimballed engines
     dynamic_pressure_Pa: float
     mach: float
-    incidence_rad: float  # of the steering
-    excess_radps: float  # turn of the path by pitch-over, in addition to gravity
+    incidence_rad: float  # attitude above the path, from steering
+    excess_radps: float  # turn rate of the path by the pitch-over, in addition to gravity's
     horizon_rad: float  # turn of the local horizon since liftoff, in inertial space
 
     @property
     def pitch_rad(self) -> float:
-        """Return the attitude above the launch site's horizon at liftoff."""
+        """Return the attitude above the horizon of the launch site at liftoff."""
         return self.path_rad + self.incidence_rad - self.horizon_rad
 
 
 class Orbit(NamedTuple):
-    """The heights of perigee and apogee above the equatorial radius, m (apogee infinite: it escapes)."""
+    """The altitudes of perigee and apogee above the equatorial radius, m. The apogee of an escape is infinite."""
 
     perigee_m: float
     apogee_m: float
 
     @staticmethod
     def of(radius_m: float, horizontal_mps: float, vertical_mps: float) -> Orbit:
-        """Return the orbit from the inertial velocity along and across the local horizon."""
+        """Return the orbit from the radius and the horizontal and vertical components of the inertial velocity."""
         momentum = radius_m * horizontal_mps
         energy = 0.5 * (horizontal_mps**2 + vertical_mps**2) - earth.WGS84_MU_m3ps2 / radius_m
         e = math.sqrt(max(1.0 + 2.0 * energy * (momentum / earth.WGS84_MU_m3ps2) ** 2, 0.0))
@@ -82,7 +82,10 @@ class Orbit(NamedTuple):
 
 @dataclass(frozen=True)
 class Ascent:
-    """The points along the powered flight, the stacks that fly it, and the zero of their clocks, s of flight time."""
+    """The points along the powered flight, the stacks that fly it, and the flight time of each clock's zero, s.
+
+    `kick_rad` is the angle of the pitch-over. `tangents` are those of the tangent law at its begin and end.
+    """
 
     points: list[TrajectoryPoint]
     stacks: list[Stack]
@@ -93,15 +96,17 @@ class Ascent:
 
 
 class _StackPlace(NamedTuple):
-    """The constants of the launch site: local radius, rotation about the plane's normal and along it, and the
-    latitude.
+    """The constants of the launch site and plane: local radius, rotation, and direction to the poles.
+
+    `spin_radps` is the Earth's rate about the normal of the plane. `across_mps` is the velocity of the ground across
+    the plane.
     """
 
     radius_m: float
     spin_radps: float
     across_mps: float
     sin_latitude: float
-    cos_north: float  # of latitude, times that of azimuth
+    cos_north: float  # cos(latitude) cos(azimuth)
 
     @staticmethod
     def of(layout: Layout) -> _StackPlace:
@@ -117,7 +122,7 @@ class _StackPlace(NamedTuple):
         )
 
     def gravity_mps2(self, radius_m: float, angle_rad: float) -> float:
-        """Return gravity towards the centre, `angle_rad` along the plane from the site."""
+        """Return the gravitational acceleration at a radius and at `angle_rad` from the site along the plane."""
         sin_latitude = self.sin_latitude * math.cos(angle_rad) + self.cos_north * math.sin(angle_rad)
         flattened = 1.0 - 1.5 * earth.WGS84_J2 * (earth.WGS84_RADIUS_m / radius_m) ** 2 * (3.0 * sin_latitude**2 - 1.0)
         return earth.WGS84_MU_m3ps2 / radius_m**2 * flattened
@@ -137,7 +142,7 @@ class _Model:
 
     @cached_property
     def masses(self) -> list[tuple[Array, Array]]:
-        """Return the clock and mass of each stack."""
+        """Return the times on the clock of each stack, and its mass at each of them."""
         out = []
         for stack in self.stacks:
             clock = np.linspace(stack.begins_s, stack.end_s, 201)
@@ -150,15 +155,15 @@ class _Model:
 
     @cached_property
     def steering_s(self) -> tuple[float, float]:
-        """Return the flight times between which the upper stages steer."""
+        """Return the flight times at which the steering of the upper stages begins and ends."""
         first, *upper = [s for s in self.stacks if s.leave_s is None]  # the last part of each stage
         begin = first.burn.end_s + first.stage.separation_after_s
         ends = [s.burn.end_s + s.stage.separation_after_s for s in upper]
         return begin + upper[0].burn.start_s, begin + sum(ends) - self.stacks[-1].stage.separation_after_s
 
     def acts(self, n: int, t: float, altitude: float, speed: float) -> tuple[float, float, float, float, float]:
-        """Return the thrust (N), that of gimballed engines (N), the drag (N), the dynamic pressure (Pa) and the Mach
-        number.
+        """Return the thrust, the thrust of the gimballed engines and the drag (N), the dynamic pressure (Pa) and the
+        Mach number.
         """
         density, pressure, sound = air(altitude)
         mach, q = speed / sound, 0.5 * density * speed**2
@@ -169,7 +174,7 @@ class _Model:
         return thrust, steered, q * aero.area_m2 * coefficient, q, mach
 
     def incidence(self, n: int, time_s: float, path: float) -> float:
-        """Return the attitude above the path: 0, except where the tangent law steers."""
+        """Return the angle from the path to the attitude, rad. It is 0 except where the tangent law steers."""
         if self.tangents is None or self.stacks[n].number == 0:
             return 0.0
         begin, end = self.steering_s
@@ -193,11 +198,14 @@ class _Model:
         return speed * math.cos(path) * place.radius_m / radius, speed * math.sin(path), accel, turn
 
     def _free(self, radius: float, speed: float, path: float, gravity: float) -> float:
-        """Return the turn of the path by gravity, the Earth's curvature and its rotation (Coriolis), rad/s."""
+        """Return the turn rate of the path by gravity, the Earth's curvature and its rotation (Coriolis), rad/s."""
         return (speed / radius - gravity / speed) * math.cos(path) + 2.0 * self.place.spin_radps
 
     def _pitch_over(self, time_s: float) -> tuple[float, float]:
-        """Return the turn by the pitch-over, rad/s (a raised cosine), and the share of gravity's turn, 1 after it."""
+        """Return the turn rate of the pitch-over (a raised cosine, rad/s), and the share of the free turn that acts.
+
+        The share rises from 0 to 1 in the second half of the pitch-over.
+        """
         wanted = self.layout.trajectory
         x = (time_s - wanted.pitch_over_start_s) / wanted.pitch_over_s
         push = -self.kick_rad / wanted.pitch_over_s * (1.0 - math.cos(2.0 * math.pi * x)) if 0.0 < x < 1.0 else 0.0
@@ -212,7 +220,7 @@ class _Model:
         gravity = self.place.gravity_mps2(radius, reach / self.place.radius_m) - self.place.spin_radps**2 * radius
         excess = push + (share - 1.0) * self._free(radius, max(speed, _LEAST_SPEED_mps), path, gravity)
         if time_s <= self.layout.trajectory.pitch_over_start_s:
-            excess = 0.0  # the pad, and straight up
+            excess = 0.0  # on the pad and during the vertical rise
         horizon = reach / self.place.radius_m + self.place.spin_radps * time_s
         incidence = self.incidence(n, time_s, path)
         forces = thrust, steered, q, mach
@@ -221,7 +229,8 @@ class _Model:
     def fly(self, points: int) -> tuple[list[TrajectoryPoint], list[float], tuple[int, float] | None]:
         """Fly all stages with `points` points per burn.
 
-        Return the points, the zero of each stack's clock (s), and stack and clock of the fairing separation.
+        Return the points, the flight time of each clock's zero (s), and the stack and clock (s) of the fairing
+        separation, if there is one.
         """
         fairing, wanted = self.layout.fairing, self.layout.trajectory
         jettison_m = math.inf if fairing is None else fairing.jettison_altitude_m
@@ -296,8 +305,9 @@ _standard, _upper = from_python(us1976), upper_air()
 
 
 def air(altitude_m: float) -> tuple[float, float, float]:
-    """Return the density, pressure and speed of sound of US Standard Atmosphere 1976. Its end values apply above 1000
-    km.
+    """Return the density, pressure and speed of sound of the US Standard Atmosphere 1976, in SI units.
+
+    Above 1000 km, the values at the upper end apply.
     """
     if altitude_m >= TOP_m:
         log_density, log_pressure, _ = _upper(min(altitude_m, 999e3))
@@ -309,7 +319,10 @@ def air(altitude_m: float) -> tuple[float, float, float]:
 
 
 def ascent(layout: Layout, stacks: Sequence[Stack], aero: Sequence[Aerodynamics], points: int = 241) -> Ascent:
-    """Return the ascent with the requested last burnout. Raises ValueError if no pitch-over gives it."""
+    """Return the ascent that ends as the layout requires, with `points` points per burn.
+
+    Raises ValueError if the first stage does not lift off, or if no pitch-over leads to the required end.
+    """
     model, wanted = _Model(layout, stacks, aero), layout.trajectory
     weight = float(model.masses[0][1][0]) * model.place.gravity_mps2(model.place.radius_m, 0.0)
     begin, end = stacks[0].full_s
@@ -336,7 +349,10 @@ def ascent(layout: Layout, stacks: Sequence[Stack], aero: Sequence[Aerodynamics]
 
 
 def _turn_to(model: _Model, path_rad: float) -> None:
-    """Return the pitch-over of a gravity turn that ends at this path angle."""
+    """Set the pitch-over of the model to that of a gravity turn which ends at this path angle.
+
+    Raises ValueError if there is none.
+    """
 
     def beyond(kick_rad: float) -> float:
         model.kick_rad = kick_rad
@@ -353,10 +369,10 @@ def _turn_to(model: _Model, path_rad: float) -> None:
 
 
 def _level(ends: Callable[[Array], Array], x: Array) -> Array:
-    """Return the level ascent next to `x` (pitch-over and tangents, scaled), the same on every processor.
+    """Return a level ascent near `x` (pitch-over and tangents, scaled) that is the same on every processor.
 
-    At the end of the search, `x`, the speed hardly depends on the pitch-over. Processors round differently, so that the
-    search ends up to 0.03 mrad apart on them. Therefore, the pitch-over is rounded, and the tangents follow from it.
+    At the end of the search, `x`, the speed hardly depends on the pitch-over. Because processors round differently,
+    searches end up to 0.03 mrad apart. Therefore, the pitch-over is rounded, and the tangents follow from it.
     """
     kick = _KICK_STEP * round(float(x[0]) / _KICK_STEP)
 
@@ -367,15 +383,17 @@ def _level(ends: Callable[[Array], Array], x: Array) -> Array:
 
 
 def _steer_to(model: _Model, altitude_m: float) -> None:
-    """Return the pitch-over and the tangents of the largest speed at a level last burnout at this altitude.
+    """Set the pitch-over and the tangents of the model to those of the largest speed at a level end at this altitude.
 
-    Raises ValueError if there is none, or if the speed is below orbital speed.
+    Raises ValueError if there are none, or if the perigee is more than 20 km below the altitude.
     """
     radius, flown = earth.WGS84_RADIUS_m + altitude_m, dict[tuple[float, ...], Array]()
 
     def ends(x: Array) -> Array:
-        """Return the height above the required altitude, path angle and speed at the end, each over its scale. x is
-        scaled likewise.
+        """Return the height above the required altitude, the path angle and the speed at the end, each divided by its
+        scale.
+
+        `x` is scaled in the same way.
         """
         given = tuple(float(v) for v in x)
         if given not in flown:

@@ -1,4 +1,6 @@
-"""The tables for a review board: statements of [board] and findings of a verification, in the page and verdict.json."""
+"""The tables for a review board: statements of [board] and findings of a verification, for the page and
+verdict.json.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ SHARED = (
 
 @dataclass(frozen=True)
 class BoardTable:
-    """A table of texts. Without rows, its subject is absent. `note` explains it."""
+    """A table of texts, with a `note` that explains it. A table without rows means that its subject is absent."""
 
     name: str
     head: tuple[str, ...]
@@ -41,7 +43,7 @@ class BoardTable:
 
 
 def board_tables(found: Verification) -> list[BoardTable]:
-    """Return the tables of a verification, also of a suite without [board]."""
+    """Return the tables of a verification. The suite may lack a [board]."""
     board = found.suite.board or NO_BOARD
     shared = [tuple(row) for row in shared_code(found.scenario)]
     return [
@@ -56,13 +58,15 @@ def board_tables(found: Verification) -> list[BoardTable]:
 
 
 def board_record(found: Verification) -> dict[str, Any]:
-    """Return the tables as verdict.json has them: rows by heading, and "absent" for a table without rows."""
+    """Return the tables in the form of verdict.json: by name, a list of rows by heading, or "absent" for a table
+    without rows.
+    """
     tables = board_tables(found)
     return {t.name: [dict(zip(t.head, row, strict=True)) for row in t.rows] or ABSENT for t in tables}
 
 
 def waiver_lines(found: Verification) -> list[str]:
-    """Return a line for each waiver, with its state."""
+    """Return a line for each waiver: its requirement, approver and state."""
     return [f"waiver of {a.waiver.about}, by {a.waiver.approver}: {a.state}" for a in found.board.waivers]
 
 

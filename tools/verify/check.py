@@ -1,6 +1,7 @@
-"""`simverify --check PACK`: a pack verified by someone else: hashes, signature, ledger, and a sample computed again.
+"""`simverify --check PACK`: check another party's pack by its hashes, signature and ledger, and by recomputing a
+sample.
 
-The inputs are loaded by the names in the pack, from this machine. A random sample of the flights, operating points and
+The inputs are loaded from this machine by the names in the pack. A random sample of the flights, operating points and
 campaign runs is computed again and compared with the pack, bit by bit.
 """
 
@@ -41,16 +42,16 @@ from maxq.tools.verify.run import design_name
 from maxq.tools.verify.signing import SUFFIX, signer
 
 HERE = "./"
-"""The begin of the name of a design file below the working folder, which is not the name of a built-in design."""
+"""The prefix of a design file below the working folder, which distinguishes it from the name of a built-in design."""
 _NOT_DERIVED = ("files", "hashes", "versions", "parts", "recalled", "wall_s", "walls_s", "cpus_s", "command")
-_NAMED = ("asked", "design", "flights")  # contain names or commands
+_NAMED = ("asked", "design", "flights")  # keys that contain names or commands
 SAMPLE = 5
-"""Flights, operating points and runs that are computed again, of each."""
+"""The number of results of each kind that are computed again."""
 
 
 @dataclass
 class Findings:
-    """The agreements and differences of a pack, a sentence each."""
+    """The agreements and differences of a pack, one sentence each."""
 
     agrees: list[str] = field(default_factory=list)
     differs: list[str] = field(default_factory=list)
@@ -70,8 +71,8 @@ def execute(
 ) -> int:
     """Check a pack, print agreements and differences, and return the exit code.
 
-    The arguments are the options of `simverify`; design, suite and vehicle are in place of those that the pack names.
-    Raises CommandError or ScenarioError for what cannot be read.
+    The arguments are the options of `simverify`. `designs`, `suite` and `vehicle` replace those that the pack names.
+    Raises CommandError or ScenarioError for a pack or an input that cannot be read.
     """
     place = Path(check)
     folder = place if place.is_dir() else place.parent
@@ -89,7 +90,7 @@ def execute(
             if _hashes(record, pack.prepared, found):
                 _results(pack, sample, random.Random(seed), found, progress)
             else:
-                found.differs.append("nothing was derived or computed again: the inputs are others")
+                found.differs.append("nothing was derived or computed again: the inputs differ")
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise CommandError(f"{place}: no verdict.json of this version of simverify ({error})") from error
     tell(
@@ -108,7 +109,7 @@ def _read(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise CommandError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from None
     except ValueError as error:
-        raise CommandError(f"{path}: is no JSON: {error}") from None
+        raise CommandError(f"{path}: is not JSON: {error}") from None
     missing = [
         k for k in ("asked", "files", "hashes", "attempt", "flights") if not isinstance(record, dict) or k not in record
     ]
@@ -132,13 +133,13 @@ def _files(folder: Path, record: dict[str, Any], found: Findings) -> None:
         if not path.resolve().is_relative_to(folder.resolve()) or not path.is_file():
             found.differs.append(f"file {name}: is missing")
         elif hashlib.sha256(path.read_bytes()).hexdigest() != known:
-            found.differs.append(f"file {name}: its SHA-256 is another")
+            found.differs.append(f"file {name}: its SHA-256 differs")
     wrong = sum(text.startswith("file ") for text in found.differs)
     found.agrees.append(f"{len(record['files']) - wrong} of {len(record['files'])} files of the pack, by their SHA-256")
 
 
 def _ledger(folder: Path, record: dict[str, Any], found: Findings) -> None:
-    """Check the copy of the ledger, and this machine's ledger where that contains the attempt."""
+    """Check the pack's copy of the ledger, and compare this machine's ledger with it if they have a line in common."""
     lines, damage = ledger.read_lines(folder / ATTEMPTS_NAME)
     found.differs += [f"ledger of attempts: {text}" for text in damage]
     hashes, attempt = [line["hash"] for line in lines], record["attempt"]
@@ -163,9 +164,10 @@ def _ledger(folder: Path, record: dict[str, Any], found: Findings) -> None:
 
 @dataclass(frozen=True)
 class Pack:
-    """A pack with its inputs, loaded by their names, and its attempt by the pack's copy of the ledger.
+    """A pack with its inputs, loaded by their names, and its attempt in the pack's copy of the ledger.
 
-    `entry` is the content of the attempt's line by these inputs. `replaced` is True if the user named inputs.
+    `entry` is the content that the attempt's line should have by these inputs. `replaced` is True if the user named
+    inputs.
     """
 
     folder: Path
@@ -177,7 +179,7 @@ class Pack:
 
 
 def _opened(folder: Path, record: dict[str, Any], given: dict[str, Any]) -> Pack:
-    """Load all that the pack names. `given` replaces names. Raises ScenarioError."""
+    """Load all inputs that the pack names. `given` replaces names. Raises ScenarioError."""
     asked = record["asked"] | given
     design, loaded, kept = asked["design"], suites.read_suite(asked["suite"], asked["overrides"]), PartsOnDisk(None)
     if design.startswith(HERE):
@@ -188,7 +190,7 @@ def _opened(folder: Path, record: dict[str, Any], given: dict[str, Any]) -> Pack
     begun = next((line for line in lines if line["hash"] == record["attempt"]["line"]), None)
     prepared = prepare(design, loaded, asked["vehicle"], kept, begun["candidate"] if begun is not None else 0)
     entry = prepared.entry()
-    if begun is None:  # which is a difference
+    if begun is None:  # reported as a difference by `_ledger`
         return Pack(folder, record, prepared, entry, ledger.Attempt(line={"date": "", "hash": ""}), bool(given))
     known = ledger.lines_of(lines[: lines.index(begun)], begun["vehicle"], begun["hashes"]["vehicle"])
     drawn = seeds.chosen(prepared.seeds, known, entry["hashes"]["design"])
@@ -197,7 +199,7 @@ def _opened(folder: Path, record: dict[str, Any], given: dict[str, Any]) -> Pack
 
 
 def _hashes(record: dict[str, Any], prepared: Prepared, found: Findings) -> bool:
-    """Compare the hashes of all that the verdict depends on; return True where only the code of maxq may differ."""
+    """Compare the hashes of all inputs of the verdict. Return True if at most the code of maxq differs."""
     before, now = record["hashes"], prepared.hashes
     wrong = [name for name in {**before, **now} if before.get(name) != now.get(name)]
     found.agrees.append(f"{len(now) - len(set(wrong) & set(now))} of {len(before)} inputs, by their SHA-256")
@@ -206,7 +208,7 @@ def _hashes(record: dict[str, Any], prepared: Prepared, found: Findings) -> bool
 
 
 def _results(pack: Pack, most: int, draw: random.Random, found: Findings, progress: Progress) -> None:
-    """Derive the record again, and compute a sample of the results."""
+    """Derive the record of the pack again from its results, and compute a sample of the results again."""
     job, files = pack.prepared.parts(PartsOnDisk(None), progress.show, 1), pack.record["files"]
     places = [campaign_folder(pack.folder, n) for n in range(len(pack.prepared.loaded.suite.campaign))]
     parts = [path for place in places for path in (place / MANIFEST, *(part.path for part in parts_in(place)))]
@@ -221,7 +223,7 @@ def _results(pack: Pack, most: int, draw: random.Random, found: Findings, progre
     except (OSError, ValueError) as error:
         found.differs.append(f"results: {RESULTS_NAME} cannot be read: {error}")
         return
-    if pack.attempt.line["date"] and pack.record["hashes"] == pack.prepared.hashes:  # not of another version of maxq
+    if pack.attempt.line["date"] and pack.record["hashes"] == pack.prepared.hashes:  # only for the same version of maxq
         names = [key for key in ("suite", "part", "seeds", "hashes") if pack.entry[key] != pack.attempt.line[key]]
         found.differs += [f"ledger of attempts: {name} of the attempt: not of these inputs" for name in names]
     before = len(found.differs)
@@ -233,7 +235,7 @@ def _results(pack: Pack, most: int, draw: random.Random, found: Findings, progre
 
 
 def _names(results: Results) -> dict[str, Any]:
-    """Return the places of all results: flights with their requirements, operating points, vehicles."""
+    """Return the identities of all results in the pack: flights with their requirements, operating points, vehicles."""
     return {
         "flights": [(f.name, f.counts, [told(v.requirement) for v in f.verdicts]) for f in results.flights],
         "margins": [
@@ -249,7 +251,10 @@ def _names(results: Results) -> dict[str, Any]:
 
 
 def _wanted_names(prepared: Prepared, job: Parts, results: Results) -> dict[str, Any]:
-    """Return the places of the results that the suite requires. Those in flight are where the results are stable."""
+    """Return the identities of the results that the suite requires.
+
+    In-flight responses are required at the operating points whose results are stable.
+    """
     suite, margins, design = prepared.loaded.suite, job.suite.margins, job.design
     alone = margins is not None and margins.only in (WORST, CERTIFICATE)
     parts = list(job.by_stage("", margins)) if margins is not None and design is not None and not alone else []
@@ -290,7 +295,11 @@ def _judged_again(v: Verdict, metrics: Mapping[str, float]) -> Verdict:
 
 
 def _derived(pack: Pack, results: Results, job: Parts, found: Findings) -> list[DataSet]:
-    """Derive the whole record from the results and the runs in the pack, and compare it. Return the data sets."""
+    """Derive the whole record from the results and runs in the pack, and compare it. Return the data sets of the
+    campaigns.
+
+    The list is empty if the results are not those that the suite requires.
+    """
     prepared, record = pack.prepared, pack.record
     wanted = plain_record(_wanted_names(prepared, job, results))
     wrong = [name for name, places in plain_record(_names(results)).items() if places != wanted[name]]
@@ -341,7 +350,9 @@ def _derived(pack: Pack, results: Results, job: Parts, found: Findings) -> list[
 
 
 def _is_command(words: Sequence[str], prepared: Prepared) -> bool:
-    """Return True if words are the command of the inputs: design by any of its names, suite, overrides and part."""
+    """Return True if the words are the command for these inputs: the design by any of its names, suite, overrides and
+    part.
+    """
     given, part = prepared.loaded, prepared.loaded.part
     try:
         if design_name(words[1]) != prepared.design:
@@ -354,7 +365,10 @@ def _is_command(words: Sequence[str], prepared: Prepared) -> bool:
 
 
 def _by_name(rows: Sequence[dict[str, Any]], replaced: bool) -> dict[str, Any]:
-    """Return requirements by part and name, those of the same name with their number, and commands as words."""
+    """Return requirements by name and part, numbered if names repeat, with their commands split into words.
+
+    The commands are None if the user `replaced` inputs.
+    """
     out = dict[str, Any]()
     for row in rows:
         name = f"{row['name']} ({row['part']})"
@@ -365,7 +379,7 @@ def _by_name(rows: Sequence[dict[str, Any]], replaced: bool) -> dict[str, Any]:
 
 
 def compared(pack: Any, derived: Any, path: str = "") -> Iterator[str]:
-    """Yield a sentence for each difference of a record from the derived one, both as JSON has them."""
+    """Yield a sentence for each difference between a record and the derived record, both as parsed from JSON."""
     if isinstance(pack, dict) and isinstance(derived, dict):
         for key in dict.fromkeys([*derived, *pack]):
             where = f"{path}: {key}" if path else key
@@ -387,7 +401,7 @@ def compared(pack: Any, derived: Any, path: str = "") -> Iterator[str]:
 def _sample(
     every: Mapping[str, Sequence[Job]], most: int, draw: random.Random, found: Findings, progress: Progress
 ) -> None:
-    """Compute a random sample of each kind of result again."""
+    """Compute at most `most` random results of each kind again."""
     for kind, jobs in every.items():
         chosen, good = draw.sample(jobs, min(most, len(jobs))), list[str]()
         for done, (name, known, compute) in enumerate(chosen):

@@ -1,4 +1,4 @@
-"""Figures of a review pack: vehicle, margins, open loops, certificate, flights, gimbal authority and slosh."""
+"""The figures of a review pack: vehicle, margins, open loops, certificate, flights, gimbal authority and slosh."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from maxq.tools.replay.vehicle_shape import shape_of
 
 _MOST_VEHICLES = 100
 _WORST_FLIGHTS = 6
-_ALLOWED = (("dB", 0.2), ("deg", 1.5))  # differences of a certificate's lines that need no reason
+_ALLOWED = (("dB", 0.2), ("deg", 1.5))  # differences of a certificate's lines that require no reason
 
 
 def plots(found: Verification, command: str) -> list[Plot]:
-    """Return all figures of the results. `command` repeats the review."""
+    """Return all figures of a verification. `command` is the command that repeats it."""
     out = [_vehicle(found)]
     if found.scenario.design is not None:
         out.append(filter_plot(found.scenario.vehicle, found.scenario.design))
@@ -86,7 +86,7 @@ def _vehicle(found: Verification) -> Plot:
     return side_view.figure(found.scenario.vehicle.name, bodies, marks, caption)
 
 
-# flights
+# Flights
 
 
 def _peak(flight: FlownResult, names: Sequence[str]) -> float:
@@ -121,7 +121,7 @@ def _flights(found: Verification) -> Plot:
 
 
 def _worst_flights(found: Verification) -> Plot:
-    """Return small multiples of the flights with the least margin."""
+    """Return small multiples of the flights with the least margin to their limits."""
 
     def room(f: FlownResult) -> float:
         shares = [
@@ -146,11 +146,11 @@ def _worst_flights(found: Verification) -> Plot:
     return Plot("worst-flights", "Worst scenarios", panels, caption, 2, 130)
 
 
-# margins
+# Margins
 
 
 def _planes(found: Verification, wanted: LinearMargins) -> list[tuple[str, Plane, list[MarginStudy]]]:
-    """Return a name, the plane and its studies of each plane; planes with equal margins are one."""
+    """Return for each plane its name, the plane and its studies. Two planes with equal margins share an entry."""
     each = {plane: [m for m in found.results.margins if m.plane == plane] for plane in wanted.planes}
     have: list[tuple[str, Plane, list[MarginStudy]]] = [(str(plane), plane, s) for plane, s in each.items() if s]
     if len(have) == 2 and len(have[0][2]) == len(have[1][2]) and all(map(_equal, have[0][2], have[1][2])):
@@ -159,7 +159,7 @@ def _planes(found: Verification, wanted: LinearMargins) -> list[tuple[str, Plane
 
 
 def _equal(one: MarginStudy, other: MarginStudy) -> bool:
-    """Return True if all drawn data of two studies is equal."""
+    """Return True if all drawn data of two studies are equal."""
     cases = [([m.nominal], m.corners, [m.case(k) for k in range(len(m.random))]) for m in (one, other)]
     values = [
         [[[n.get(key, math.nan) for key in SWEPT] for n in c.nodes] for group in groups for c in group]
@@ -216,7 +216,7 @@ def _margins(studies: Sequence[MarginStudy], wanted: LinearMargins, plane: str, 
 
 
 def _bode(judged: Sequence[JudgedLoop], plane: str) -> Plot:
-    """Draw the loop at the operating point with the least |1 + L|, with its margins."""
+    """Return the Bode plot at the operating point with the least |1 + L|, with its margins."""
     least = min(judged, key=lambda j: j.margins.modulus if j.margins.stable else -1.0)
     shown = open_loop(least, lobe_colours(judged))
     panels = bode_panels([shown])
@@ -251,7 +251,9 @@ def _titled(plane: str) -> str:
 
 
 def _certificate(nodes: Sequence[NodeCertificate]) -> Plot:
-    """Return the differences of the lines. Those above the tolerance state their reason."""
+    """Return the differences between flight and linear loop at all lines, with reasons for those above the
+    tolerance.
+    """
     panels = []
     kinds = ((True, "measured less sampled loop, converter as it flies"), (False, "the same without rounding"))
     for rounded, title in kinds:
@@ -278,7 +280,11 @@ def _certificate(nodes: Sequence[NodeCertificate]) -> Plot:
 
 
 def _lines(nodes: Sequence[NodeCertificate], n: int, *, rounded: bool) -> Iterator[tuple[float, float, str, str]]:
-    """Return the frequency, difference, reason and operating point of every line that is judged."""
+    """Yield the frequency (Hz), difference, reason and operating point of every line that is judged.
+
+    `n` is 0 for gain (dB) and 1 for phase (deg). Without `rounded`, differences are those without rounding if
+    available.
+    """
     for c in nodes:
         r = c.responses
         flown, clean = ((r.difference_db, r.unrounded_db), (r.difference_deg, r.unrounded_deg))[n]
@@ -290,7 +296,7 @@ def _lines(nodes: Sequence[NodeCertificate], n: int, *, rounded: bool) -> Iterat
 
 
 def _campaign(found: Verification, number: int) -> list[Plot]:
-    """Return the figures of the campaign's own report."""
+    """Return the figures of the campaign's own report. `number` is counted from 0."""
     result = found.campaigns[number]
     data = analysis.DataSet(result.folder, campaign_in(result.folder), result.runs)
     sample = analysis.sample_of(data)
@@ -310,12 +316,12 @@ def _campaign(found: Verification, number: int) -> list[Plot]:
     )
 
 
-# gimbal and slosh
+# Gimbal and slosh
 
 
 def _authority(found: Verification) -> Plot:
     every = np.array([(a.time_s, a.ratio, a.wind_mps) for a in found.results.authority])
-    apart = np.flatnonzero(np.diff(every[:, 0]) > 1.5) + 1  # stages
+    apart = np.flatnonzero(np.diff(every[:, 0]) > 1.5) + 1  # between stages
     times, ratio, wind = np.insert(every, apart, np.nan, axis=0).T
     shares = ((1.0, "all of the gimbal angle", ""), (0.5, "half of it", "6 3"), (0.25, "a quarter", "2 2"))
     winds = [line(times, share * wind, name, colour="limit", dash=dash) for share, name, dash in shares]

@@ -1,4 +1,6 @@
-"""The last line of a verification: the outcome, its decisive reason with numbers, and the count of requirements met."""
+"""The last line of a verification: the outcome, its decisive reason with numbers, and the number of requirements
+met.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +13,24 @@ from maxq.design.verify.verify import Verification
 from maxq.tools.cli.terminal import printable
 
 ONLY_REJECTS = "A screening can reject, not accept."
-MOST_REASONS = 3  # below the floor, in the line; the report lists all
+MOST_REASONS = 3  # named in the line as below the floor; the report lists all
 _BOUND = re.compile(r"(>=|<=) (-?[0-9.][^\s,]*(?: [^,]+)?)")
 _BEYOND = {">=": "<", "<=": ">"}
 _AT_POINT = re.compile(r"(\S+ s), (pitch|yaw)")
 
 
 def verdict_word(judgement: SuiteVerdict, requirements: Sequence[JudgedRequirement]) -> str:
-    """Return the verdict in capitals, with the number of requirements that are waived if it depends on waivers."""
+    """Return the verdict in capitals, followed by the number of waived requirements if the verdict depends on
+    waivers.
+    """
     waived = sum(bool(r.waived) for r in requirements)
     return f"{judgement.upper()} ({waived})" if judgement == WAIVED else judgement.upper()
 
 
 def headline(found: Verification, name: str = "") -> str:
-    """Return the outcome in one line. `name` is that of the design and precedes the line if there are several."""
+    """Return the outcome in one line. `name`, if there are several designs, is that of the design and precedes the
+    line.
+    """
     met, count = len(found.of(ACCEPTED)), len(found.requirements)
     reasons, texts = found.missing_evidence, [_decisive(found)]
     texts.append(f"{met} of {count} requirement{'s' * (count != 1)} met")
@@ -38,7 +44,11 @@ def headline(found: Verification, name: str = "") -> str:
 
 
 def _decisive(found: Verification) -> str:
-    """Return the decisive requirement: missed or undecided by the largest share, or the tightest one."""
+    """Return a text on the decisive requirement.
+
+    For a rejection, it is the missed requirement furthest beyond its limit. For an undecided verdict, it is the
+    undecided requirement that needs the most runs. Otherwise, it is the tightest requirement.
+    """
     if found.judgement in (REJECTED, WAIVED):
         missed = [r for r in found.of(REJECTED) if not r.waived] or found.of(REJECTED)
         return _missed(missed) + (f", waived by {missed[0].waived}" if found.judgement == WAIVED else "")
@@ -49,7 +59,7 @@ def _decisive(found: Verification) -> str:
     finite = [r for r in found.requirements if math.isfinite(r.room)]
     if not finite:
         return ""
-    tightest = min(finite, key=lambda r: round(r.room, 9))  # the first of equal ones
+    tightest = min(finite, key=lambda r: round(r.room, 9))  # the first of equal values
     share = f"{100.0 * tightest.room:.0f} % of the limit left"
     return (
         f"tightest requirement: {_name(tightest)} {tightest.found}, limit {_bound(tightest)}{_at([tightest])}, {share}"

@@ -25,16 +25,16 @@ from maxq.design.verify.worst import search_node
 from maxq.sim.campaign.analysis import DataSet
 
 Job = tuple[str, Any, Callable[[], Any]]
-"""A name, the known result, and a function that computes it again."""
+"""The name of a result, the known result, and a function that computes it again."""
 
 Part = tuple[list[Node], str, list[list[Node]]]
-"""The operating points of a plane and stage, the stage, and the operating points in dispersed flights."""
+"""The operating points of a plane and stage, the stage's name, and the operating points in dispersed flights."""
 
-_SEARCHED = 1e-6  # of |1 + L|: compiled and exact loops differ by less
+_SEARCHED = 1e-6  # tolerance of |1 + L|: compiled and exact loops differ by less
 
 
 def jobs_of(prepared: Prepared, results: Results, job: Parts, data: Sequence[DataSet]) -> dict[str, list[Job]]:
-    """Return all results that can be computed again, by kind. `data` are the runs of the campaigns."""
+    """Return all results that can be computed again, by kind. `data` contains the runs of the campaigns."""
     return {
         "flights": list(_flights(prepared, results)),
         "operating points": list(_points(job, results)),
@@ -57,7 +57,7 @@ def _flights(prepared: Prepared, results: Results) -> Iterator[Job]:
 
 
 def _points(job: Parts, results: Results) -> Iterator[Job]:
-    """Yield the linear margins as designed, the certificates and the measurements of flight code."""
+    """Yield the linear margins as designed, the certificates, and the measurements of flight code."""
     scenario, design, margins = job.scenario, job.design, job.suite.margins
 
     def node_at(time_s: float, plane: Plane) -> Node:
@@ -86,7 +86,7 @@ def _points(job: Parts, results: Results) -> Iterator[Job]:
 
 
 def _vehicles(job: Parts, results: Results) -> Iterator[Job]:
-    """Yield the corners and random vehicles of each plane and stage, at all operating points."""
+    """Yield the corners and random vehicles of each plane and stage, each at all operating points."""
     wanted, design = job.suite.margins, job.design
     if wanted is None or design is None or not results.margins:
         return
@@ -117,7 +117,7 @@ def _worst(job: Parts, results: Results) -> Iterator[Job]:
 
 
 def _searches(job: Parts, results: Results) -> Iterator[Job]:
-    """Yield searches that belong to the one for the worst vehicle. None may find a worse vehicle than the pack has."""
+    """Yield a search at each operating point for a vehicle worse than the pack's worst vehicle. It must find none."""
 
     def none_worse(part: WorstPart, node: Node, modulus: float) -> bool:
         least, _, _ = search_node(node, part.design, part.described, part.worst, [0])
@@ -129,7 +129,7 @@ def _searches(job: Parts, results: Results) -> Iterator[Job]:
 
 
 def _in_flight(job: Parts, results: Results) -> Iterator[Job]:
-    """Yield the in-flight responses of each plane, which share their ascents."""
+    """Yield the in-flight responses of each plane, which come from the same ascents."""
     times_s, held = job.in_flight_times_s(results.certificates), job.held_responses(results.measured)
 
     def measure(plane: Plane) -> tuple[InFlightResponse, ...]:

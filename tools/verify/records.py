@@ -13,11 +13,11 @@ from maxq.sim.campaign.store import MANIFEST, parts_in
 from maxq.sim.files import write_whole
 
 ATTEMPTS_NAME, RUNS_NAME, RESULTS_NAME = "attempts.jsonl", "verdict-runs", "results.json.gz"
-MOST_NAMES = 6  # of recalled results in a line; verdict.json lists all
+MOST_NAMES = 6  # recalled results named in a line; verdict.json lists all
 
 
 def record_lines(found: Verification) -> list[str]:
-    """Return the lines of the first page: the attempt, the seeds that are not declared, and the recalled results."""
+    """Return the lines of the first page on the attempt, the seeds that were not declared, and the recalled results."""
     out = [found.attempt.title]
     for seed in found.seeds:
         if seed.value == seed.declared and seed.lack:
@@ -29,7 +29,9 @@ def record_lines(found: Verification) -> list[str]:
 
 
 def reused_line(found: Verification) -> str:
-    """Return how much was recalled from the cache, and how much of it was computed again."""
+    """Return a line on the parts and runs that were recalled from the cache, and those of them that were computed
+    again.
+    """
     runs = sum(c.recalled for c in found.campaigns)
     if not found.recalled and not runs:
         return "computed afresh: nothing was recalled from the cache"
@@ -42,7 +44,7 @@ def reused_line(found: Verification) -> str:
 
 
 def records(found: Verification) -> dict[str, Any]:
-    """Return the sections of verdict.json."""
+    """Return the sections of verdict.json on the attempt, the seeds and the recalled results."""
     attempt = found.attempt
     return {
         "attempt": {
@@ -65,20 +67,20 @@ def records(found: Verification) -> dict[str, Any]:
 
 
 def write_attempts(found: Verification, folder: Path) -> Path:
-    """Copy the ledger, with the attempts for all its vehicles, into the pack.
+    """Copy the ledger, with the attempts for all its vehicles, into the pack. Return the path of the copy.
 
-    Raises FileError, or OSError where it cannot be read.
+    Raises FileError if the copy cannot be written, and OSError if the ledger cannot be read.
     """
     return write_whole(folder / ATTEMPTS_NAME, found.attempt.path.read_bytes())
 
 
 def campaign_folder(folder: Path, number: int) -> Path:
-    """Return the folder of a campaign in a pack; `number` from 0."""
+    """Return the folder of a campaign in a pack. `number` is counted from 0."""
     return folder / RUNS_NAME / str(number + 1)
 
 
 def write_runs(found: Verification, folder: Path) -> list[Path]:
-    """Copy the runs of the campaigns into the pack: manifest and data set. Raises FileError."""
+    """Copy the runs of the campaigns into the pack: manifests and data sets. Return the paths. Raises FileError."""
     out = []
     for n, campaign in enumerate(found.campaigns):
         copied = [
@@ -86,12 +88,12 @@ def write_runs(found: Verification, folder: Path) -> list[Path]:
             *(part.path for part in parts_in(campaign.folder) if part.first < campaign.runs),
         ]
         place = campaign_folder(folder, n)
-        for part in parts_in(place):  # of an earlier pack
+        for part in parts_in(place):  # from an earlier pack
             part.path.unlink()
         out += [write_whole(place / path.relative_to(campaign.folder), path.read_bytes()) for path in copied]
     return out
 
 
 def file_hashes(folder: Path, files: Sequence[Path]) -> dict[str, str]:
-    """Return the SHA-256 of the files of a pack, by their names in it."""
+    """Return the SHA-256 of each file of a pack, by its name in the pack."""
     return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}

@@ -41,9 +41,9 @@ VERDICT_NAME, PAGE_NAME, PDF_NAME, FIGURES_NAME = "verdict.json", "review.html",
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _PRINT_S = 60.0
 _RANKED = ("upper gain margin", "phase margin", "phase margin at mode 1")
-_HEADINGS = ("gain dB", "phase deg", "mode 1 deg")  # of the same in the ranking
-WORDS = {ACCEPTED: MET, REJECTED: REJECTED, UNDECIDED: UNDECIDED}  # of a single requirement
-_KEYS = {"judgement": "verdict"}  # of a requirement, as in verdict.json
+_HEADINGS = ("gain dB", "phase deg", "mode 1 deg")  # headings of these margins in the ranking
+WORDS = {ACCEPTED: MET, REJECTED: REJECTED, UNDECIDED: UNDECIDED}  # outcomes of a single requirement
+_KEYS = {"judgement": "verdict"}  # keys of a requirement that verdict.json renames
 FLIGHT = ("name", "outcome", "passed", "failures", "metrics", "state_hash", "again")
 _LINE = (
     "difference_db",
@@ -59,7 +59,7 @@ _LINE = (
 
 @dataclass(frozen=True)
 class Signed:
-    """The person responsible for a review, as stated in its title block. An empty `date` means today."""
+    """The title block of a review: its responsible author, revision and date. An empty `date` means today."""
 
     author: str = ""
     revision: str = ""
@@ -67,12 +67,13 @@ class Signed:
 
 
 def write_pack(found: Verification, folder: Path, command: str, pack: bool, signed: Signed = Signed()) -> list[Path]:
-    """Write verdict.json with the hashes of the other files of the pack, and these files. Return their paths.
+    """Write verdict.json and the other files of the pack, whose hashes it contains. Return their paths, verdict.json
+    first.
 
-    They are a copy of the ledger, the worst vehicles and, with `pack`, the review as HTML and PDF (if a browser can
-    print) and its figures as CSV. Raises FileError.
+    The other files are a copy of the ledger and the worst vehicles. With `pack`, they include the results, the runs of
+    the campaigns, the figures as CSV, and the review as HTML and, if a browser can print it, as PDF. Raises FileError.
     """
-    (folder / f"{VERDICT_NAME}{SUFFIX}").unlink(missing_ok=True)  # of an earlier pack
+    (folder / f"{VERDICT_NAME}{SUFFIX}").unlink(missing_ok=True)  # from an earlier pack
     files = [write_attempts(found, folder), *(write_runs(found, folder) if pack else [])]
     files += [write_whole(folder / RESULTS_NAME, found.results.to_bytes())] if pack else []
     for w in found.results.worst:
@@ -90,7 +91,7 @@ def write_pack(found: Verification, folder: Path, command: str, pack: bool, sign
 
 
 def worst_name(w: WorstVehicle) -> str:
-    """Return the name of the file of a worst vehicle."""
+    """Return the file name of a worst vehicle."""
     return plain_name("-".join(filter(None, ("worst", w.plane, w.stage))), "worst") + ".toml"
 
 
@@ -123,7 +124,7 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
 
 
 def _summary(found: Verification) -> list[dict[str, Any]]:
-    """Return for each part its requirements, and the numbers met, rejected and undecided."""
+    """Return for each part a description of its requirements, and the numbers met, rejected and undecided."""
     suite, margins = found.suite, found.suite.margins
     asked = {"scenarios": f"{len(found.results.flights)} flights, each within its limits"}
     if margins is not None:
@@ -148,7 +149,7 @@ def _summary(found: Verification) -> list[dict[str, Any]]:
 
 
 def _limiting(found: Verification) -> list[JudgedRequirement]:
-    """Return the requirement with the least margin of each part."""
+    """Return the requirement with the least margin in each part, the tightest part first."""
     nearest: dict[str, JudgedRequirement] = {}
     for r in sorted((r for r in found.requirements if math.isfinite(r.room)), key=lambda r: r.room):
         nearest.setdefault(r.part, r)
@@ -158,7 +159,7 @@ def _limiting(found: Verification) -> list[JudgedRequirement]:
 def _matrix(flights: Sequence[FlownResult]) -> dict[str, Any]:
     """Return the values of all flights in engineering units, with a column for each requirement.
 
-    `used` is the share of the limit in percent.
+    `used` is the utilisation of the limit in percent.
     """
     units = dict[str, tuple[str, float]]()
 
@@ -192,7 +193,7 @@ def _matrix(flights: Sequence[FlownResult]) -> dict[str, Any]:
 
 
 def _loop(found: Verification) -> dict[str, Any]:
-    """Return texts for the blocks of the control loop, those of the first stage if stages differ."""
+    """Return the texts of the blocks in the diagram of the control loop, those of the first stage if stages differ."""
     vehicle, design = found.scenario.vehicle, found.scenario.design
     computer, stage = vehicle.computer_of(0), vehicle.stage[0]
     if computer is None:
@@ -227,7 +228,7 @@ def _loop(found: Verification) -> dict[str, Any]:
 
 
 def print_page(page: Path, pdf: Path) -> Path | None:
-    """Return the page as PDF by a headless browser, or None if there is none, or it fails."""
+    """Print a page to PDF with a headless browser. Return the path of the PDF, or None if no browser succeeds."""
     browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
     if browser is None:
         return None
@@ -259,10 +260,10 @@ def print_page(page: Path, pdf: Path) -> Path | None:
 
 
 def _headings(part: Sequence[JudgedRequirement]) -> list[str]:
-    """Return the plane of each requirement of a part, as the end of its heading.
+    """Return for each requirement of a part the end of its heading, which names the plane.
 
-    A requirement without a plane has that of the next one with a plane, if all but the first few have one. Otherwise
-    there is none.
+    A requirement without a plane takes the plane of the next requirement that has one, else of the previous one. If
+    more than half of the requirements have no plane, all ends are empty.
     """
     planes = [(r.where.rpartition(", ")[2] if r.where.endswith((", pitch", ", yaw")) else "") for r in part]
     if 2 * sum(map(bool, planes)) < len(planes):
@@ -275,7 +276,9 @@ def _headings(part: Sequence[JudgedRequirement]) -> list[str]:
 
 
 def report(found: Verification, title: str) -> list[str]:
-    """Return every requirement, one per row, below the name of its part and plane."""
+    """Return the lines of the report: its records, then each requirement in a row below the name of its part and
+    plane.
+    """
     measured = found.results.certificates or found.results.measured
     rows: list[tuple[str, ...]] = [("requirement", "outcome", "limit", "value", "margin to limit", "at")]
     headed = [(_headings(list(group)), part) for part, group in groupby(found.requirements, lambda r: r.part)]
@@ -301,7 +304,7 @@ def report(found: Verification, title: str) -> list[str]:
 
 
 def measured_lines(found: Verification) -> list[str]:
-    """Return a table of the margins measured at the frozen points, and of the linear loop there."""
+    """Return a table of the margins measured at the frozen points and of those of the linear loop there."""
     rows: list[tuple[str, ...]] = [("at", "plane", "margin", "measured", "linear", "remark")]
 
     def row(
@@ -327,9 +330,9 @@ def _listed(title: str, lines: Sequence[str]) -> list[str]:
 
 
 def baseline_lines(found: Verification) -> list[str]:
-    """Return the differences of the suite from its baseline, a table below the line that counts them.
+    """Return the number of differences between the suite and its baseline, and a table of them.
 
-    Those from the shipped suite follow if the baseline is not shipped.
+    The differences from the shipped suite are included if the baseline is not shipped.
     """
     head = ("difference from the baseline", "of", "baseline", "here")
     every = found.compared.all_differences
@@ -342,7 +345,7 @@ def _mark(judgement: str) -> str:
 
 
 def reasons(found: Verification) -> list[str]:
-    """Return the reasons for which a design is not accepted, a line each, and the command that shows each."""
+    """Return a line for each requirement that prevents acceptance, followed by the command that reproduces it."""
     out = []
     for r in (*found.of(REJECTED), *found.of(UNDECIDED)):
         out.append(f"  {r.judgement}: {printable(r.reason)}")
@@ -351,17 +354,17 @@ def reasons(found: Verification) -> list[str]:
 
 
 def from_here(text: str) -> str:
-    """Return paths below the working folder relative to it."""
+    """Return a text with all paths below the working folder relative to that folder."""
     return text.replace(f"{Path.cwd()}{os.sep}", "")
 
 
 def ranked(every: Sequence[Verification]) -> list[Verification]:
-    """Return the verifications, the best first."""
+    """Return the verifications in order of merit, the best first."""
     return sorted(every, key=lambda v: v.merit, reverse=True)
 
 
 def ranking(every: Sequence[Verification]) -> list[str]:
-    """Return a table of designs, the best first."""
+    """Return a table of designs in order of merit, the best first."""
     head = ("", "design", "verdict", "rejected", "undecided", "tightest", "margin", *_HEADINGS)
     rows: list[tuple[str, ...]] = [head]
     for n, v in enumerate(ranked(every), 1):
@@ -387,7 +390,7 @@ def ranking(every: Sequence[Verification]) -> list[str]:
 
 
 def verdict_record(found: Verification, command: str) -> dict[str, Any]:
-    """Return the whole verification without histories."""
+    """Return the content of verdict.json: the whole verification without histories."""
     further = found.compared.from_shipped
     record: dict[str, Any] = {
         "schema": 2,
@@ -444,8 +447,8 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
 
 
 def _from_here(value: Any) -> Any:
-    """Return a record with all paths relative to the working folder, so that it is the same in a copy of that
-    folder.
+    """Return a record with all paths relative to the working folder, so that a copy of this folder gives the same
+    record.
     """
     if isinstance(value, dict):
         return {key: _from_here(item) for key, item in value.items()}
@@ -459,7 +462,7 @@ def _worst(w: WorstVehicle) -> dict[str, Any]:
 
 
 def measured_record(n: MeasuredNode) -> dict[str, Any]:
-    """Return a measurement of flight code without a linear model as verdict.json has it."""
+    """Return a measurement of flight code without a linear model, in the form of verdict.json."""
     return {
         "time_s": n.time_s,
         "plane": n.plane,
@@ -478,7 +481,7 @@ def measured_record(n: MeasuredNode) -> dict[str, Any]:
 
 
 def certificate_record(c: NodeCertificate) -> dict[str, Any]:
-    """Return a certificate as verdict.json has it."""
+    """Return a certificate in the form of verdict.json."""
     r = c.responses
     return {
         "time_s": c.time_s,

@@ -1,4 +1,4 @@
-"""The command `simverify DESIGN...`: judge designs by a suite, write verdicts and review packs, rank them.
+"""The command `simverify DESIGN...`: judge designs by a suite, write verdicts and review packs, and rank the designs.
 
 `simdesign CASE... --verify` tries designs in order of merit until the suite accepts one.
 """
@@ -56,7 +56,10 @@ def execute(
     revision: str = "",
     date: str = "",
 ) -> int:
-    """Verify designs and rank them. Return the exit code. The arguments are the options of `simverify`."""
+    """Verify designs, write their packs and rank them. Return the exit code for the best design.
+
+    The arguments are the options of `simverify`. Raises CommandError and ScenarioError.
+    """
     if len(set(designs)) < len(designs):
         raise CommandError("a design is named twice")
     paths = [design_name(name) for name in designs]
@@ -119,7 +122,7 @@ def execute(
 
 
 def _announced(progress: Progress) -> Watch:
-    """Return the callback that shows progress, and also says once that another process is waited for."""
+    """Return a callback that shows progress and reports once that it is waiting for another process."""
     said = set[str]()
 
     def show(what: str, done: int, of: int) -> None:
@@ -132,12 +135,15 @@ def _announced(progress: Progress) -> Watch:
 
 
 def design_name(given: str) -> str:
-    """Return a design or flight code as `verify` takes it. Raises ScenarioError."""
+    """Return the name of a design or of flight code in the form that `verify` accepts. Raises ScenarioError."""
     return given if flight_code_key(given) else design_path(given)
 
 
 def _register(designs: Sequence[str], loaded: suites.LoadedSuite, vehicle: str | None) -> int:
-    """Write the seeds that were chosen by hand into the ledger, before any attempt with them."""
+    """Write seeds that were chosen by hand into the ledger, before any attempt with them. Return the exit code.
+
+    Raises CommandError if no seed was chosen by hand, or if a seed cannot be registered.
+    """
     for design in designs:
         prepared = prepare(design, loaded, vehicle, memory.PartsOnDisk(memory.default_folder()))
         name, vehicle_hash = prepared.scenario.vehicle.name, prepared.entry()["hashes"]["vehicle"]
@@ -155,13 +161,13 @@ def _register(designs: Sequence[str], loaded: suites.LoadedSuite, vehicle: str |
 
 
 def campaigns_of(loaded: suites.LoadedSuite, design: str, vehicle: str | None = None) -> list[Campaign]:
-    """Return the suite's campaigns without their limits, which are fitted to the vehicle. Raises ScenarioError."""
+    """Return the suite's campaigns without their limits, which depend on the vehicle. Raises ScenarioError."""
     suite = loaded.suite.model_copy(update={"dispersed_limit": ()})
     return [load_wanted(replace(loaded, suite=suite), w, design, vehicle).campaign for w in suite.campaign]
 
 
 def folder_of(design: str, out: str | None, only: str | None, designs: int) -> Path:
-    """Return the folder of a design's pack. Several designs have one each inside --out."""
+    """Return the folder of a design's pack. If there are several designs, each has a folder inside `out`."""
     path = Path(design)
     name = path.parent.name if path.name == DESIGN_NAME else path.name.removesuffix(".toml")
     plain = plain_name(name, "design")
@@ -170,14 +176,15 @@ def folder_of(design: str, out: str | None, only: str | None, designs: int) -> P
     return Path(out) if designs == 1 else Path(out) / plain
 
 
-# candidates of simdesign
+# Candidates of simdesign
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A design in a folder.
+    """A design in a folder that may be verified.
 
-    `objective_db` is that of the case, and less is better. `modulus` is the least |1 + L| as it flies.
+    `objective_db` is the objective of its case; less is better. `modulus` is the least |1 + L| of the sampled loop, or
+    -1 if it is unstable.
     """
 
     folder: Path
@@ -188,7 +195,7 @@ class Candidate:
 
 
 def candidates(made: run_case.Made) -> Iterator[Candidate]:
-    """Return the case's design, and with --orders those of every filter and schedule that meet the limits."""
+    """Yield the case's design and, with --orders, the design of every filter and schedule that meets the limits."""
     found = made.found
     nodes = [j.node for outcome, _ in found.results for j in outcome.judged]
 
@@ -203,17 +210,20 @@ def candidates(made: run_case.Made) -> Iterator[Candidate]:
 
 
 def in_order(found: Sequence[Candidate]) -> list[Candidate]:
-    """Return candidates that meet their cases' limits first.
+    """Return the candidates in order of merit, those that meet their cases' limits first.
 
-    The order is by the objective if all have the same, else by the least |1 + L|, which is comparable.
+    The order is by the objective if all have the same kind of objective, else by the least |1 + L|, which is
+    comparable.
     """
     same = len({c.kind for c in found}) < 2
     return sorted(found, key=lambda c: (not c.meets_limits, c.objective_db if same else -c.modulus))
 
 
 def execute_cases(cases: Iterable[Callable[[], run_case.Made]], suite: str, pack: bool = True) -> int:
-    """Run each case, then verify the designs in order of merit. Return the exit code."""
-    suites.read_suite(suite)  # an error in it is reported before the minutes of designing
+    """Run each case, then verify the designs in order of merit. Return the exit code. `pack` adds the review to each
+    pack.
+    """
+    suites.read_suite(suite)  # report an error in the suite before the minutes of designing
     made = []
     for design in cases:
         made.append(design())
@@ -264,13 +274,14 @@ def try_in_order(
     watch: Watch = lambda what, done, of: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> tuple[str | None, list[Verification]]:
-    """Verify one design after the other up to the first that is accepted, or that passes if the suite is a screening.
+    """Verify designs one after the other until one is accepted, or passes if the suite is a screening.
 
-    Each candidate has its share of the risk of a wrong acceptance, and its own draws (`shared_risk`). `designs` are as
-    for `simverify`, in order of preference. `tell` receives, line by line, the verdict on each and the requirements not
-    met. `keep` receives each verification when it is complete, with the suite by which it was judged. An undecided
-    design is not accepted. Returns the accepted design, or None, and all verifications. Raises ScenarioError before any
-    flight, and KeyboardInterrupt soon after `stop` returns True.
+    `designs` are as for `simverify`, in order of preference. Each has its share of the risk of a wrong acceptance, and
+    its own draws (`shared_risk`). `tell` receives, line by line, each verdict and the requirements not met. `keep`
+    receives each verification when it is complete, with its suite. An undecided design is not accepted.
+
+    Return the accepted design, or None, and all verifications. Raises ScenarioError before any flight, and
+    KeyboardInterrupt soon after `stop` returns True.
     """
     wanted, paths = suites.read_suite(suite, overrides), [design_path(design) for design in designs]
     campaigns, given = campaigns_of(wanted, paths[0]), wanted.overrides

@@ -1,4 +1,6 @@
-"""Signatures of a pack by `ssh-keygen -Y`: verdict.json, which contains the hashes of all other files, is signed."""
+"""Signatures of a pack by `ssh-keygen -Y`. The signed file is verdict.json, which contains the hashes of all other
+files.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ def _said(done: subprocess.CompletedProcess[bytes]) -> str:
 
 
 def check_key(key: Path) -> None:
-    """Sign nothing with a key, so that a wrong one is reported before the verification. Raises CommandError."""
+    """Sign an empty message, so that an unusable key is reported before the verification. Raises CommandError."""
     done = _ssh_keygen("sign", "-f", str(key), "-n", NAMESPACE)
     if done.returncode:
         raise CommandError(f"{key}: cannot sign: {_said(done)}")
@@ -32,7 +34,7 @@ def check_key(key: Path) -> None:
 def sign(file: Path, key: Path) -> Path:
     """Write the signature of a file next to it, and return its path. Raises CommandError."""
     signature = file.with_name(file.name + SUFFIX)
-    signature.unlink(missing_ok=True)  # ssh-keygen asks before it replaces one
+    signature.unlink(missing_ok=True)  # ssh-keygen would ask before it replaced a signature
     done = _ssh_keygen("sign", "-f", str(key), "-n", NAMESPACE, str(file))
     if done.returncode:
         raise CommandError(f"{key}: cannot sign {file}: {_said(done)}")
@@ -40,9 +42,9 @@ def sign(file: Path, key: Path) -> Path:
 
 
 def signer(file: Path, allowed: Path | None) -> tuple[bool, str]:
-    """Verify the signature of a file; return True where it is that of an allowed signer, and a sentence.
+    """Verify the signature of a file. Return True if it is valid and of an allowed signer, and a sentence on it.
 
-    `allowed`: a file of allowed signers (ssh-keygen(1)). Without it the signature is compared with the file alone.
+    `allowed` is a file of allowed signers (ssh-keygen(1)). Without it, any signer is accepted. Raises CommandError.
     """
     signature, content = str(file.with_name(file.name + SUFFIX)), file.read_bytes()
     if allowed is None:

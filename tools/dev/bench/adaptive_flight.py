@@ -1,9 +1,8 @@
-"""The reference flight: the same equations, integrated by SciPy's DOP853 from instant to instant with its error
-control.
+"""A reference flight: the equations of maxq, integrated from instant to instant by SciPy's DOP853 with error control.
 
-No switching occurs between two instants (computer sample, command, schedule breakpoint, ...). There, the kernel's own
-derivative is integrated by the adaptive method of order eight (Hairer, Norsett & Wanner, section II.5), which starts
-again after each instant. The flight's own kernels process the instants themselves.
+An instant is a computer sample, a command, a breakpoint of a schedule or another event; nothing switches between two
+instants. There, the adaptive method of order eight (Hairer, Norsett & Wanner, section II.5) integrates the derivative
+of the kernels, and starts again after each instant. The kernels of the flight process the instants themselves.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from maxq.sim.vehicle.workspace import Evaluation
 
 @entry
 def rates(P: Array, pool: Array, state: Array, y: Array, elapsed_s: float, dy: Array, scratch: Records) -> None:
-    """Return the derivative `elapsed_s` after the flight's present instant."""
+    """Write the derivative at `elapsed_s` after the flight's present instant into `dy`."""
     p, memory = P[0], state[0]
     pool, y, dy = bare_pointer(pool), bare_pointer(y), bare_pointer(dy)
     props, work, aux = bare_pointer(scratch[0].properties), scratch[0].work, scratch[0].aux
@@ -38,7 +37,7 @@ def rates(P: Array, pool: Array, state: Array, y: Array, elapsed_s: float, dy: A
 
 @entry
 def next_instant(P: Array, pool: Array, state: Array, y: Array, scratch: Records) -> int:
-    """Process all events that are due now. Return the nanoseconds until the next event is due."""
+    """Process all events that are due now. Return the time until the next event, ns."""
     p, memory = P[0], state[0]
     pool, y, props = bare_pointer(pool), bare_pointer(y), bare_pointer(scratch[0].properties)
     process_due_events(p, pool, memory, y, scratch[0].aux, props)
@@ -47,10 +46,12 @@ def next_instant(P: Array, pool: Array, state: Array, y: Array, scratch: Records
 
 @dataclass
 class AdaptiveFlight:
-    """A flight that continues a run from its present state (in flight, one stage, no turbulence)."""
+    """A flight that continues a run from its present state. The run must be in flight, with one stage and no
+    turbulence.
+    """
 
     run: FlightRun
-    relative: float  # tolerance
+    relative: float  # relative tolerance
     evaluations: int = 0
     _scratch: Records = field(default_factory=lambda: blank(Space))
     _full: Array = field(default_factory=lambda: np.zeros(MAX_STATE))
@@ -59,8 +60,8 @@ class AdaptiveFlight:
     def __post_init__(self) -> None:
         packed = self.run.packed
         self._n = int(state_size(packed.parameters[0].vehicle.sizes))
-        packed.parameters[0].timeline.step_ns = NEVER // 4  # no grid other than the instants
-        # position and speed are thousands of times their change in a step; the other states begin near zero
+        packed.parameters[0].timeline.step_ns = NEVER // 4  # no grid besides the instants
+        # position and speed are thousands of times their changes in a step; the other states begin near zero
         tolerance = np.full(self._n, self.relative)
         tolerance[R_I : R_I + 3], tolerance[V_I : V_I + 3] = 1e-3 * self.relative, 1e-2 * self.relative
         self._relative = np.maximum(tolerance, 3e-14)  # SciPy rejects less than 100 eps
@@ -74,7 +75,11 @@ class AdaptiveFlight:
         return self._dy[: self._n].copy()
 
     def until(self, end_ns: int, every_ns: int) -> Iterator[tuple[int, Array]]:
-        """Return the time (ns) and state at every multiple of `every_ns` up to `end_ns`, which must be instants."""
+        """Yield the time (ns) and the state at every multiple of `every_ns` up to `end_ns`. These times must be
+        instants.
+
+        Raises RuntimeError if the integration fails.
+        """
         packed, clock = self.run.packed, self.run.memory.clock
         arguments = (packed.parameters, packed.pool, packed.memory, packed.state, self._scratch)
         while int(clock.now_ns) < end_ns:

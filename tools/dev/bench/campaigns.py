@@ -1,8 +1,7 @@
-"""Benchmarks of campaigns: flights per second on one worker and on all cores, overhead of a campaign, memory, Dask.
+"""Benchmarks of campaigns: flights per second on one worker and on all cores, overhead of a campaign, memory, and Dask.
 
-The runs have the whole set of dispersions of campaigns/ksr3 and full powered ascents. The overhead is measured in
-processor time, which other work on the machine affects least. It is the time of the whole process less the time inside
-the kernel.
+The runs are full powered ascents with all dispersions of campaigns/ksr3. The overhead is the processor time of the
+process minus the time inside the kernel. Processor time is used because other work on the machine affects it least.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from maxq.sim.campaign.store import Store
 from maxq.sim.flight import loop
 from maxq.sim.run import fly
 
-RUNS = 1000  # a typical number for an interactive campaign; separate kernels from 500
+RUNS = 1000  # a typical number for an interactive campaign; from 500 runs on, kernels are compiled separately
 SHORT = ("run.duration_s=0.02", "run.stop_at=[]", "campaign.keep=[]", "campaign.batch=256")
 _FLOWN, _ROWS = 4000, 100_000
 
@@ -39,7 +38,7 @@ def _ksr3(*overrides: str) -> LoadedCampaign:
 
 
 def local(runs: int = RUNS) -> dict[str, float]:
-    """Return the rates and overhead with threads."""
+    """Return the rates, the efficiency and the overhead of campaigns on threads."""
     campaign = _ksr3().with_campaign(runs=runs)
     load_kernels(campaign)
     workers = cores()
@@ -65,7 +64,7 @@ def local(runs: int = RUNS) -> dict[str, float]:
 
 
 def _timed(spent: dict[str, float], name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function with its processor time added to `spent[name]`."""
+    """Return a function that calls `function` and adds its processor time to `spent[name]`."""
 
     def call(*arguments: Any, **named: Any) -> Any:
         start = time.thread_time()
@@ -86,11 +85,11 @@ PARTS: dict[str, tuple[Any, str]] = {
     "metrics, verdicts, row": (campaign_runs._Run, "recorded"),
     "Arrow tables, Parquet files": (Store, "write"),
 }
-"""The parts of a campaign's time: functions that each do one part of it, called one after the other."""
+"""The parts of a campaign's time: functions that are called one after the other, each with one task."""
 
 
 def profile(runs: int = RUNS // 2) -> dict[str, float]:
-    """Return the processor time by part, ms per run, of a campaign on one worker.
+    """Return the processor time of a campaign on one worker by part, ms per run.
 
     "other" is the remainder of the process's time.
     """
@@ -108,12 +107,12 @@ def profile(runs: int = RUNS // 2) -> dict[str, float]:
 
 
 def memory(runs: int = _FLOWN, rows: int = _ROWS) -> dict[str, float]:
-    """Return the peak memory, MB, of flying very short flights, and of judging and drawing `rows` runs.
+    """Return the peak memory (MB) after flying very short flights, and after judging and reporting `rows` runs.
 
-    The judged data set contains the flown rows repeatedly, under new numbers.
+    The judged data set repeats the flown rows under new numbers.
     """
-    from maxq.sim.campaign.analysis import DataSet, judged, lost  # noqa: PLC0415  # counts as memory
-    from maxq.tools.campaign_report import write_report  # noqa: PLC0415  # counts as memory
+    from maxq.sim.campaign.analysis import DataSet, judged, lost  # noqa: PLC0415  # part of the measured memory
+    from maxq.tools.campaign_report import write_report  # noqa: PLC0415  # part of the measured memory
 
     campaign = load_campaign("campaigns/ksr3", SHORT).with_campaign(runs=runs)
     with tempfile.TemporaryDirectory() as scratch:
@@ -144,7 +143,7 @@ def _peak_MB() -> float:
 
 
 def _repeat(folder: Path, runs: int, rows: int) -> None:
-    """Repeat the runs under new numbers until there are `rows`, in a separate process because of its memory."""
+    """Repeat the runs under new numbers until there are `rows`. A separate process does this, because of its memory."""
     script = (
         "import sys, pyarrow as pa, pyarrow.parquet as pq; from pathlib import Path\n"
         "from maxq.sim.campaign.store import parts_in\n"
@@ -161,9 +160,7 @@ def _repeat(folder: Path, runs: int, rows: int) -> None:
 
 
 def dask(runs: int = RUNS) -> dict[str, float]:
-    """Run the same campaign on worker processes of one thread each, and on the same number of threads, in batches of 2
-    s or more.
-    """
+    """Return the times of a campaign on Dask worker processes of one thread each, and on the same number of threads."""
     from distributed import Client, LocalCluster  # noqa: PLC0415  # an extra
 
     workers = cores()
@@ -189,7 +186,7 @@ def dask(runs: int = RUNS) -> dict[str, float]:
 
 
 def cold(runs: int = 200) -> dict[str, float]:
-    """Run the command as a user does, from its start to its end. The second time, its kernels are cached."""
+    """Return the time of the command for a campaign from its start to its end, with kernels from the cache."""
     with tempfile.TemporaryDirectory() as scratch:
         for attempt in ("first", "second"):
             command = [sys.executable, "-m", "maxq.tools.simrun", "campaigns/ksr3", "--runs", str(runs)]
@@ -201,7 +198,7 @@ def cold(runs: int = 200) -> dict[str, float]:
 
 
 def measure() -> dict[str, Any]:
-    """Measure all parts, each in a separate process."""
+    """Return the results of all benchmarks of this module, each measured in a separate process."""
     return {name: _own(f"{name}()") for name in ("local", "profile", "cold", "memory", "dask")}
 
 
@@ -211,7 +208,7 @@ def _own(call: str) -> Any:
         + f"if __name__ == '__main__': print(json.dumps({call}))"
     )
     environment = {**os.environ, "MPLBACKEND": "Agg"}
-    with tempfile.NamedTemporaryFile("w", suffix=".py") as file:  # a file, so that Dask's workers can start from it
+    with tempfile.NamedTemporaryFile("w", suffix=".py") as file:  # a file, from which Dask workers can start
         file.write(script)
         file.flush()
         done = subprocess.run([sys.executable, file.name], env=environment, capture_output=True, text=True, check=False)

@@ -1,9 +1,9 @@
-"""Campaigns on a Dask scheduler: eight worker processes that fly, and a thousand simulated workers that wait instead.
+"""Campaigns on a Dask scheduler: with eight worker processes that fly, and with a thousand simulated workers.
 
-A simulated worker is an ordinary worker of Dask, with many of them per process. It takes real tasks, draws their runs,
-and waits for the time of their flights on a separate core. One batch in fifty takes ten times as long. It then returns
-real rows. Scheduler, client, data set and verdicts thus work as with this number of cores. In one case, a quarter of
-the workers is killed during the campaign.
+A simulated worker is an ordinary worker of Dask, with many of them per process. It receives real tasks, draws their
+runs, and sleeps for the time of their flights on a separate core. One batch in fifty takes ten times as long. It then
+returns real rows. Scheduler, client, data set and verdicts thus work as with this number of cores. In one case, a
+quarter of the workers is killed during the campaign.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from maxq.sim.campaign.runs import Row
 
 FLYING = 8
 SIMULATED, PROCESSES = 1000, 4
-FLIGHT_S = 0.04  # of a simulated worker's core
+FLIGHT_S = 0.04  # time of a flight on the core of a simulated worker
 SLOW_SHARE, SLOW_FACTOR = 0.02, 10.0
 
 
 def _simulate(flight_s: float) -> None:
-    """Let tasks of this process wait instead of flying. The rows are those of its first run."""
+    """Make tasks of this process sleep instead of flying. Their rows are copies of the first run flown."""
     fly, chance = runner.fly_batch, random.Random(os.getpid())
     known: list[tuple[list[Row], dict[str, str]]] = []
     at_once = threading.Lock()
@@ -51,7 +51,7 @@ def _simulate(flight_s: float) -> None:
     runner.fly_batch = waited
 
 
-_QUIET = {  # of many workers per process: each would sample its own stack a hundred times a second, among others
+_QUIET = {  # for many workers per process, each of which would, for example, sample its stack a hundred times a second
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "60s",
     "distributed.admin.system-monitor.interval": "60s",
@@ -70,9 +70,10 @@ async def _workers(address: str, count: int) -> None:
 
 
 def _measured(workers: int, processes: int, runs: int, flight_s: float | None, kill: bool) -> dict[str, Any]:
-    """Measure a campaign on `workers` Dask workers in the given number of processes.
+    """Return the rates of a campaign on `workers` Dask workers in the given number of processes.
 
-    One process is killed after a third of the flights.
+    With `flight_s`, the processes only sleep for this time in place of each flight. If `kill` is True, one process is
+    killed after a third of the flights.
     """
     from distributed import Client  # noqa: PLC0415  # an extra
 

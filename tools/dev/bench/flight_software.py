@@ -1,9 +1,9 @@
 """The benchmark of external flight code against the built-in law: its cost, and a bitwise comparison of exported C.
 
-Flights of KSR-III, 59 s, alternate between the built-in law, the law exported as C (`simdesign export --c`) and
-examples/flight_software/pd_law.py. Campaigns of campaigns/ksr3 on all cores alternate likewise. `--bits N` instead
-flies N dispersed flights to 70 s of each law and filter structure, with the built-in and with the exported law, and
-compares state hashes.
+Flights of KSR-III of 59 s alternate between the built-in law, the law exported as C (`simdesign export --c`) and
+examples/flight_software/pd_law.py. Campaigns of campaigns/ksr3 on all cores alternate in the same way. `--bits N`
+instead flies N dispersed flights of 70 s for each law and filter structure with the built-in and with the exported law,
+and compares their state hashes.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def design_text(law: str, structure: str, option: str) -> str:
 
 
 def built(folder: Path, *changes: str) -> list[str]:
-    """Return overrides that fly the law of a scenario as a library of exported C."""
+    """Compile the law of a scenario, exported as C, to a library, and return the overrides that fly it."""
     export_c(load_scenario("nominal", changes), folder)
     sources = [str(folder / name) for name in ("flight_law.c", "flight_law_tables.c", "flight_law_fsw.c")]
     subprocess.run(["cc", *FLAGS, "-shared", "-fPIC", "-o", str(folder / "libfsw.so"), *sources], check=True)
@@ -96,7 +96,7 @@ def costs(rounds: int, runs: int) -> dict[str, Any]:
                 for log in (False, True):
                     start = time.perf_counter()
                     fly(scenario, log=log)
-                    if number > 0:  # the first compiles
+                    if number > 0:  # the first flights compile
                         spent[kind][log].append(time.perf_counter() - start)
         rates: dict[str, list[float]] = {"built-in": [], "C": []}
         for number in range(4):
@@ -118,7 +118,7 @@ def costs(rounds: int, runs: int) -> dict[str, Any]:
 
 
 def bits(runs: int) -> dict[str, int]:
-    """Return the number, of `runs`, of dispersed flights of each law and structure with equal state hashes."""
+    """Return the number of dispersed flights, out of `runs`, with equal state hashes for each law and structure."""
     chosen = [("pd", structure, "") for structure in SECTIONS]
     chosen += [(law, "F4", "") for law in MORE_GAINS if law != "pd"] + [("pd", "F4", option) for option in OPTIONS]
     out = {}

@@ -1,7 +1,7 @@
 """The Basilisk worker: a rigid hub with three sloshing masses and two hinged panels, RK4, 60 s.
 
-This is the closest approximation of a launch vehicle by Basilisk's state effectors: thrust, gravity with J2, no air, no
-flight computer, no recorder.
+This is the closest approximation of a launch vehicle with Basilisk's state effectors. It has thrust and gravity with
+J2, but no air, no flight computer and no recorder.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FLOWN_S = 60.0
 
 
 def _slosh(vehicle: Any) -> list[Any]:
-    """Return a tank with a sloshing mass along each axis."""
+    """Add a tank with a sloshing mass along each axis to the vehicle. Return its parts."""
     tank, model = fuelTank.FuelTank(), fuelTank.FuelTankModelConstantVolume()
     model.propMassInit, model.radiusTankInit = 400.0, 0.5
     model.r_TcT_TInit = [[0.0], [0.0], [0.0]]
@@ -52,7 +52,7 @@ def _slosh(vehicle: Any) -> list[Any]:
 
 
 def _panels(vehicle: Any) -> list[Any]:
-    """Return two panels on damped hinges."""
+    """Add two panels on damped hinges to the vehicle, and return them."""
     panels = []
     for side in (1.0, -1.0):
         panel = hingedRigidBodyStateEffector.HingedRigidBodyStateEffector()
@@ -75,7 +75,7 @@ def prepare() -> Callable[[], tuple[int, State]]:
     simulation.AddModelToTask("task", vehicle)
     integrator = svIntegrators.svIntegratorRK4(vehicle)
     vehicle.setIntegrator(integrator)
-    alive = [vehicle, integrator, *_slosh(vehicle), *_panels(vehicle)]  # C++ keeps plain pointers to them
+    alive = [vehicle, integrator, *_slosh(vehicle), *_panels(vehicle)]  # C++ keeps plain pointers to these objects
     thrust = extForceTorque.ExtForceTorque()
     thrust.extForce_B = [[0.0], [0.0], [20000.0]]
     thrust.extTorquePntB_B = [[0.0], [1.0], [0.0]]

@@ -1,4 +1,4 @@
-"""The nominal flight with its full log in arrays. `latency` reads the peak memory of its process."""
+"""The nominal flight with its full log in arrays. `latency` measures the peak memory of its process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The JSBSim worker: its own rigid launch vehicle (script J2461.xml of its wheel) for 60 s, output off.
+"""The JSBSim worker: its rigid launch vehicle (script J2461.xml of its wheel) for 60 s, without output.
 
 Its control system runs at every step.
 """
@@ -36,7 +36,7 @@ def prepare() -> Callable[[], tuple[int, State]]:
 
 
 def _state(read: Callable[[str], float]) -> State:
-    """Return the position in the Earth's frame and the attitude in the local frame."""
+    """Return the position in the Earth-fixed frame, m, and the attitude quaternion in the local frame."""
     half = [0.5 * read(f"attitude/{name}-rad") for name in ("phi", "theta", "psi")]
     (cr, cp, cy), (sr, sp, sy) = ([f(a) for a in half] for f in (math.cos, math.sin))
     position_m = [M_PER_FT * read(f"position/ecef-{axis}-ft") for axis in "xyz"]

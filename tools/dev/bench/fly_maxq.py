@@ -1,8 +1,8 @@
-"""The maxq worker: the nominal scenario's powered phase with everything switched on, no log, on one core.
+"""The maxq worker: the powered phase of the nominal scenario with all models, without a log, on one core.
 
-`--own-kernels` uses kernels that are compiled for this vehicle's sizes, as large campaigns do. `--nine-engines`
-replaces the engine by nine, each with a ninth of its size and its own actuators; equal groups would count as one.
-Further arguments are overrides of the scenario.
+`--own-kernels` uses kernels compiled for this vehicle's sizes, as large campaigns do. `--nine-engines` replaces the
+engine by nine engines of a ninth of its size. Each has separate actuators, since equal groups would count as a single
+group. Further arguments are overrides of the scenario.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from maxq.sim.vehicle.state import Q_BI, R_I
 from maxq.tools.dev.bench.serve import State, serve
 
 POWERED_S = 59.0
-WHOLE_FLIGHT_NS = 10**12  # one segment holds it
+WHOLE_FLIGHT_NS = 10**12  # more than the flight, so that it is one segment
 
 
 def nine_engines(one: EngineSection) -> str:
-    """Return the stage's engine as nine engines, each a group."""
+    """Return the override that replaces an engine by nine, each in a group of its own."""
     whole = {
         "table": "'vehicles/ksr3/thrust.csv'",
         "gimbal_station_m": one.gimbal_station_m,

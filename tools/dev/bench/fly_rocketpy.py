@@ -1,9 +1,9 @@
 """The RocketPy worker: a rigid rocket of about KSR-III's size with a 100 Hz controller for 60 s.
 
-With `--causal`, every controller call ends an integration step (`time_overshoot=False`). RK23 is the fastest of its
-methods for such short steps: RK45 takes 1.6 times as long, LSODA 2.5, DOP853 3. Without it, as by RocketPy's default,
-the step extends past the controller's instants. The controller is then called on interpolated points, which is faster,
-but its output is too late for the step of the call.
+With `--causal`, every call of the controller ends an integration step (`time_overshoot=False`). RK23 is RocketPy's
+fastest method for such short steps: RK45 takes 1.6 times as long, LSODA 2.5 times, DOP853 3 times. Without it, as by
+default, a step extends past the controller's instants. The controller is then called at interpolated points, which is
+faster, but its output is too late for the step of the call.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ def _rocket() -> Any:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--causal", action="store_true")
-    parser.add_argument("rtol", nargs="?", type=float, default=1e-6, help="its default is 1e-6")
+    parser.add_argument("rtol", nargs="?", type=float, default=1e-6, help="relative tolerance (default 1e-6)")
     choice = parser.parse_args()
     causal = choice.causal
-    warnings.filterwarnings("ignore")  # on the coarseness of the rocket, which is intended
+    warnings.filterwarnings("ignore")  # about the coarse rocket, which is intended
     environment = Environment(latitude=36.7, longitude=126.47, elevation=30.0)
 
     def prepare() -> Callable[[], tuple[int, State]]:

@@ -1,7 +1,7 @@
 """The benchmark of the response time of `simrun` and of the memory of a flight.
 
-Only the standard library is loaded here, since the peak memory that the system reports for a child begins with that of
-its parent.
+This module loads only the standard library, since the peak memory that the system reports for a child process starts
+with that of its parent.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-FLOWN_CODES = (0, 1)  # flown; flown and a requirement missed
+FLOWN_CODES = (0, 1)  # exit codes: flown; flown, with a requirement missed
 REPETITIONS = 5
 IN_MEMORY = "maxq.tools.dev.bench.fly_in_memory"
 
 
 def _run(command: list[str], environment: dict[str, str], codes: tuple[int, ...]) -> dict[str, float]:
-    """Return the wall and CPU time (s) and peak memory (MB) of a command, with its children included in the CPU time.
+    """Return the wall-clock time (s), the CPU time including children (s), and the peak memory (MB) of a command.
 
-    Raises RuntimeError if the exit code is not one of `codes`.
+    Raises RuntimeError if the exit code is not in `codes`.
     """
     with tempfile.TemporaryFile() as said:
         start = time.perf_counter()
@@ -54,7 +54,7 @@ def _typical(runs: list[dict[str, float]]) -> dict[str, float]:
 
 
 def measure(repetitions: int = REPETITIONS) -> dict[str, Any]:
-    """Return each command's `wall_s`, `cpu_s`, `peak_MB`, or the reason in `skipped`."""
+    """Return the `wall_s`, `cpu_s` and `peak_MB` of each command, or the reason for which it was skipped."""
     results: dict[str, Any] = {}
     simrun = Path(sys.executable).with_name("simrun")
     missing = None
@@ -64,7 +64,7 @@ def measure(repetitions: int = REPETITIONS) -> dict[str, Any]:
         missing = "simrun is not installed in this environment"
     with tempfile.TemporaryDirectory(prefix="maxq-bench-") as scratch:
         environment = {**os.environ, "MAXQ_CACHE": str(Path(scratch) / "cache")}
-        environment.pop("PYTHONDONTWRITEBYTECODE", None)  # with Python's bytecode cache, as for every user
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)  # Python's bytecode cache is used, as by every user
         nominal = [str(simrun), "nominal", "--out", str(Path(scratch) / "flight")]
         cases: tuple[tuple[str, list[str], tuple[int, ...], int], ...] = (
             ("help", [str(simrun), "--help"], (0,), repetitions + 1),
@@ -85,5 +85,5 @@ def measure(repetitions: int = REPETITIONS) -> dict[str, Any]:
             except RuntimeError as error:
                 results[key] = {"skipped": str(error)}
                 continue
-            results[key] = _typical(runs[1:] if times > 1 else runs)  # the first reads files from disk
+            results[key] = _typical(runs[1:] if times > 1 else runs)  # the first run reads files from disk
     return results

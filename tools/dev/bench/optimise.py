@@ -2,13 +2,17 @@
 
     python -m maxq.tools.dev.bench.optimise [--seconds 20] [--seeds 1] [--workers 2] [--only F4/free,...]
 
-The module prints seconds as JSON: for one F6 with free gains, and at four times the operating points. It adds those of
-the fifteen optima of one table of docs/case-study, and of a robust design. It compares F2 to F4, with all three gain
-schedules, with two searches without gradients, from random populations: differential evolution (SciPy) and CMA-ES with
-restarts (pycma). They share only the exact responses of the fixed paths with the optimiser. Limits are a penalty, and
-crossings between grid points are interpolated linearly. A search exploits the interpolation error: in F2, a margin
-missed by 0.01 dB gains 0.08 dB. Its best point is therefore judged after a descent to a point that meets the limits
-exactly. The long run takes `--seconds 1800`.
+The module prints JSON. It contains the times of:
+
+- an F6 design with free gains, also at four times the operating points
+- the fifteen optima of one table of docs/case-study
+- a robust design.
+
+F2 to F4 with all three gain schedules are compared with two searches without gradients from random populations:
+differential evolution (SciPy) and CMA-ES with restarts (pycma). These share only the exact responses of the fixed paths
+with the optimiser. Limits are a penalty, and crossings between grid points are interpolated linearly. A search exploits
+the interpolation error: in F2, a margin missed by 0.01 dB gains 0.08 dB. Its best point is therefore judged after a
+descent to a point that meets the limits exactly. The long run uses `--seconds 1800`.
 """
 
 from __future__ import annotations
@@ -42,13 +46,13 @@ STRUCTURES, SCHEDULES = ("F2", "F3", "F4", "F5", "F6"), ("two-phase", "linear", 
 RIVALS = tuple((structure, schedule) for structure in STRUCTURES[:3] for schedule in SCHEDULES)
 PENALTY = 50.0  # dB of the objective for each dB of violation
 HIGHEST_HZ = 60.0
-GAIN_BOUNDS = (0.1, 3.0)  # wider than the optimiser's own, in favour of the rival
+GAIN_BOUNDS = (0.1, 3.0)  # wider than those of the optimiser, in favour of the rival
 MET_DB = 1e-6
-STEP = 0.25  # CMA-ES's first standard deviation, as a share of the bounds
+STEP = 0.25  # first standard deviation of CMA-ES, as a share of the bounds
 
 
 class Rival:
-    """The cost of a design for a search without gradients."""
+    """The cost of a design, dB, for a search without gradients: the peak of mode 1 and a penalty for missed limits."""
 
     def __init__(self, case: Case, plants: Plants, problem: Problem) -> None:
         assert isinstance(problem.law, PdVariables)
@@ -105,8 +109,9 @@ class Rival:
 
 
 def interpolated(zero: Array, value: Array, where: NDArray[np.bool_]) -> Array:
-    """Return `value` where `zero` changes its sign between a point and the next one and `where` is True, by linear
-    interpolation.
+    """Return `value` at the sign changes of `zero` between neighbouring points, by linear interpolation.
+
+    Only intervals for which `where` is True are used.
     """
     k = np.flatnonzero((np.sign(zero[1:]) != np.sign(zero[:-1])) & where)
     share = zero[k] / (zero[k] - zero[k + 1])
@@ -116,7 +121,9 @@ def interpolated(zero: Array, value: Array, where: NDArray[np.bool_]) -> Array:
 def evolve(
     cost: Callable[[Array], float], lower: Array, upper: Array, seconds: float, seed: int
 ) -> tuple[Array, float]:
-    """Run differential evolution for this CPU time, restarted when its population has converged to a point."""
+    """Run differential evolution for this CPU time, with restarts after convergence. Return the best point and its
+    cost.
+    """
     begun, rng = time.process_time(), np.random.default_rng(seed)
     best: tuple[Array, float] = (lower, np.inf)
 
@@ -134,7 +141,7 @@ def evolve(
 
 
 def adapt(cost: Callable[[Array], float], lower: Array, upper: Array, seconds: float, seed: int) -> tuple[Array, float]:
-    """Run CMA-ES for this CPU time, restarted with twice the population when it has converged."""
+    """Run CMA-ES for this CPU time, with restarts with twice the population. Return the best point and its cost."""
     import cma  # noqa: PLC0415  # needed here only; comes with the extra "test"
 
     begun, rng, generation = time.process_time(), np.random.default_rng(seed), 0
@@ -161,7 +168,9 @@ METHODS = {"differential evolution": evolve, "CMA-ES": adapt}
 
 
 def compare(structure: str, schedule: str, method: str, seconds: float, seed: int) -> dict[str, Any]:
-    """Run a search without gradients for a time, and the optimiser on the same problem."""
+    """Return the results of a search without gradients for `seconds` of CPU time, and of the optimiser on the same
+    problem.
+    """
     loaded = read_case(CASE, [f"filter.structure={structure}", f"gains.schedule={schedule}"])
     plants = nominal_plants(loaded)
     begun = time.process_time()
@@ -197,9 +206,7 @@ def compare(structure: str, schedule: str, method: str, seconds: float, seed: in
 
 
 def one_table() -> tuple[float, list[dict[str, Any]]]:
-    """Return wall-clock seconds for the fifteen optima of one table, on all cores, the optima, and CPU seconds of
-    each.
-    """
+    """Return the wall-clock time (s) for the fifteen optima of one table on all cores, and a record of each optimum."""
     loaded = read_case(CASE)
     begun = time.perf_counter()
     found = solve_orders(order_cases(loaded), nominal_plants(loaded), lambda _done, _of: None)
@@ -222,7 +229,7 @@ def one_table() -> tuple[float, list[dict[str, Any]]]:
 
 
 def single() -> dict[str, Any]:
-    """Measure F6 with free gains alone: 34 variables, eleven operating points."""
+    """Return the time of F6 with free gains alone: 34 variables, eleven operating points."""
     loaded = read_case(CASE, ["filter.structure=F6", "gains.schedule=free"])
     begun, clock = time.process_time(), time.perf_counter()
     plants = nominal_plants(loaded)
@@ -238,8 +245,8 @@ def single() -> dict[str, Any]:
 
 
 def more_nodes() -> float:
-    """Return the CPU time of F6 with free gains at 44 operating points, including their flights, relative to that at
-    11.
+    """Return the CPU time of F6 with free gains at 44 operating points relative to that at 11, including the
+    flights.
     """
     seconds = []
     for nodes in (11, 44):
@@ -252,7 +259,7 @@ def more_nodes() -> float:
 
 
 def robust() -> float:
-    """Return wall-clock seconds for the robust design, against the worst plants that its searches find."""
+    """Return the wall-clock time (s) of the robust design, including its searches for the worst plants."""
     begun, loaded = time.perf_counter(), read_case("ksr3-robust")
     solve(loaded, nominal_plants(loaded))
     return time.perf_counter() - begun
@@ -265,7 +272,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2, help="searches at a time")
     parser.add_argument("--only", default="", help="comma-separated problems such as F4/free; nothing else is done")
     options = parser.parse_args()
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # inherited by the searches
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # inherited by the search processes
     rivals = [tuple(name.split("/")) for name in options.only.split(",") if name] or RIVALS
     tasks = [
         (structure, schedule, method, options.seconds, seed)
@@ -275,7 +282,7 @@ def main() -> None:
     ]
     result: dict[str, Any] = {"single": {}, "table": []}
     if not options.only:
-        single()  # imports and first calls are excluded from the measurement
+        single()  # excludes imports and first calls from the measurement
         one = single() | {"nodes_ratio": more_nodes(), "robust_s": robust()}
         one["table_s"], table = one_table()
         result = {"single": one, "table": table}

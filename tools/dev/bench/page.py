@@ -298,7 +298,7 @@ def _replay(result: dict[str, Any]) -> str:
 
 
 def filled(text: str, results: dict[str, Any]) -> str:
-    """Return the page with its tables renewed. Raises ValueError if a marker is missing."""
+    """Return the page with its tables renewed from the results. Raises ValueError if a marker is missing."""
     sections = {name: s.get("result") for name, s in results["sections"].items()}
 
     def whole(name: str, draw: Callable[[Any], str]) -> str:

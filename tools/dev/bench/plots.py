@@ -1,4 +1,4 @@
-"""The work-precision diagram."""
+"""The work-precision diagram of docs/performance.md."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WORK = (1000, 2000, 5000, 10_000, 20_000, 50_000)
 
 
 def work_precision(precision: dict[str, Any], path: Path) -> None:
-    """Draw errors over derivative evaluations per second of flight, with both axes logarithmic."""
+    """Draw the errors over the derivative evaluations per second of flight, with logarithmic axes."""
     with drawing(("svg",)):
         figure, places = sheet(2, 2, height_in=3.5, width_in=9.0, sharex=True)
         for place, (key, text) in zip(places, PANELS, strict=True):

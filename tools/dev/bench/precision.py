@@ -1,8 +1,7 @@
-"""The work-precision benchmark: the powered phase through a gust, with the default method at many step sizes, and with
-DOP853.
+"""The work-precision benchmark: the powered phase through a gust, with RK4 at many step sizes and with DOP853.
 
-The outputs of converter, DAC and roll thrusters are steps. The last digit can decide which step is taken, so that a
-difference of 1e-12 becomes a whole count. They are switched off here; the limits remain on.
+The outputs of converter, DAC and roll thrusters are steps. Because the last digit can decide which step is output, a
+difference of 1e-12 may become a whole count. These parts are therefore ideal here; the limits remain active.
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ from maxq.tools.dev.bench.adaptive_flight import AdaptiveFlight
 
 NS = 1_000_000_000
 END_NS = 59 * NS
-EVERY_NS = NS // 10  # times of the error evaluation; a sample of the computer, so that no step is cut for it
-AFLOAT_NS = 1 * NS  # DOP853 continues from the fine reference after liftoff
+EVERY_NS = NS // 10  # interval of the errors: a multiple of the computer's sample, so that no step is cut for it
+AFLOAT_NS = 1 * NS  # from here on, after liftoff, DOP853 continues from the fine reference
 STEPS_NS = (5_000_000, 4_000_000, 2_000_000, 1_000_000, 500_000, 250_000, 125_000)
 FINEST_NS = 62_500
-RELATIVE = (1e-3, 1e-6, 1e-10)  # the last one is the reference
+RELATIVE = (1e-3, 1e-6, 1e-10)  # the last is the reference
 QUANTITIES = ("attitude_deg", "bending_m", "slosh_deg", "position_m")
 CONDITIONS = (
     "run.duration_s=59.0",
@@ -41,12 +40,12 @@ CONDITIONS = (
 
 @dataclass
 class Course:
-    """The states at every `EVERY_NS`, their cost, and their source."""
+    """The states of a flight at every multiple of `EVERY_NS`, by time in ns, and the cost of the flight."""
 
     states: dict[int, Array]
     evaluations: int
     cpu_s: float
-    sizes: Any  # record of Sizes
+    sizes: Any  # a record of Sizes
 
 
 def _run(step_ns: int) -> FlightRun:
@@ -54,7 +53,7 @@ def _run(step_ns: int) -> FlightRun:
 
 
 def _fly(step_ns: int) -> Course:
-    """Return the flight with the default method. After a warm-up flight, no compilation occurs."""
+    """Return the flight with RK4 at this step. A flight before it has compiled the kernels."""
     run = _run(step_ns)
     states, cpu = {}, 0.0
     while not run.finished:
@@ -78,13 +77,13 @@ def _fly_adaptive(relative: float) -> Course:
 
 
 def _angle_deg(a: Array, b: Array) -> float:
-    """Return the angle between two directions, exact for small ones too."""
+    """Return the angle between two directions, deg, exact also for small angles."""
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
     return math.degrees(2.0 * math.asin(min(0.5 * float(np.linalg.norm(a - b)), 1.0)))
 
 
 def differences(a: Array, b: Array, sizes: Any) -> dict[str, float]:
-    """Return the distance of two states: attitude (angle of the rotation between them), modal coordinates, bobs,
+    """Return the differences of two states: attitude (angle of rotation), modal coordinates, pendulum angles, and
     position.
     """
     q, p = a[Q_BI : Q_BI + 4], b[Q_BI : Q_BI + 4]
@@ -100,9 +99,9 @@ def differences(a: Array, b: Array, sizes: Any) -> dict[str, float]:
 
 
 def _errors(course: Course, reference: Course) -> dict[str, Any]:
-    """Return the errors at burnout and the largest during the flight."""
+    """Return the errors of a flight at burnout, and the largest errors during the flight."""
     if set(course.states) != set(reference.states):
-        raise RuntimeError("two flights were looked at at different times")
+        raise RuntimeError("two flights were sampled at different times")
     all_of = [differences(course.states[t], reference.states[t], course.sizes) for t in sorted(course.states)]
     return {
         "evaluations_per_s": round(course.evaluations / (END_NS / NS)),
@@ -113,7 +112,7 @@ def _errors(course: Course, reference: Course) -> dict[str, Any]:
 
 
 def _sizes_of_motion(course: Course) -> dict[str, float]:
-    """Return the sizes of the parts' motion in this flight, with which the errors are compared."""
+    """Return the largest bending and slosh motion of a flight, for comparison with the errors."""
     sizes, upright = course.sizes, np.array([-1.0, 0.0, 0.0])
     first, bobs = int(eta_index(sizes)), [int(pendulum_index(sizes, k)) for k in range(sizes.pendulums)]
     modes = [first + i for i in range(sizes.pitch_modes)]
@@ -125,8 +124,9 @@ def _sizes_of_motion(course: Course) -> dict[str, float]:
 
 
 def measure() -> dict[str, Any]:
-    """Return `steps`, the errors of the default method against the reference, `adaptive`, those of DOP853, and
-    `agreement` of the two references, fine steps and DOP853.
+    """Return the errors and costs of RK4 (`steps`) and of DOP853 (`adaptive`) against the reference.
+
+    The reference is DOP853 with a tight tolerance; `agreement` is the error of RK4 at the finest step.
     """
     reference = _fly_adaptive(RELATIVE[-1])
     return {

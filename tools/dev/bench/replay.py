@@ -1,9 +1,7 @@
-"""The benchmark of the replay: `simreplay` from command to picture, conversion, memory, size, many flights.
+"""The benchmark of the replay: `simreplay` from command to picture, conversion, memory, size, and many flights, as
+JSON.
 
-It prints JSON.
-
-The picture is that of the headless viewer of the tests. Without a graphics card, it is drawn in software, which is
-slower.
+The pictures are those of the headless viewer. Without a graphics card, they are drawn in software, which is slower.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ _SIMRUN, _SIMREPLAY = "maxq.tools.simrun", "maxq.tools.simreplay"
 
 
 def _memory_of(process: subprocess.Popen[bytes]) -> float:
-    """Return the largest memory of a process and its children together, MB, sampled 20 times a second until its end."""
+    """Return the largest memory of a process and its children together, MB, sampled every 0.05 s until its end."""
     most = 0.0
     whole = psutil.Process(process.pid)
     while process.poll() is None:
@@ -42,9 +40,9 @@ def _memory_of(process: subprocess.Popen[bytes]) -> float:
 
 
 def _timed(*arguments: str) -> dict[str, float]:
-    """Return the wall and processor time and memory of a command with its children, the best of a few rounds.
+    """Return the least wall-clock and processor times (s) and the largest memory (MB) of a command in several rounds.
 
-    Raises RuntimeError if the command fails.
+    Children are included. Raises RuntimeError if the command fails.
     """
     walls, cpus, peaks = [], [], []
     for _ in range(ROUNDS):
@@ -67,7 +65,7 @@ def _timed(*arguments: str) -> dict[str, float]:
 
 
 def _conversion(log: Path, folder: Path) -> dict[str, float]:
-    """Measure reading and converting alone, in a process that has its modules loaded."""
+    """Return the times of reading and converting a log alone, in a process with loaded modules."""
     from maxq.tools.replay.convert import Options, save  # noqa: PLC0415  # loads rerun
     from maxq.tools.replay.flight import open_flight  # noqa: PLC0415  # lazy
 
@@ -84,12 +82,12 @@ def _conversion(log: Path, folder: Path) -> dict[str, float]:
 
 
 def _many(folder: Path) -> dict[str, float]:
-    """Measure dispersed powered ascents, all kept: families of curves in one window."""
+    """Return the times and sizes of a recording of many dispersed ascents, with families of curves in one window."""
     coarse = ["--set", "log.fast_hz=100", "--set", "log.slow_hz=20"]
     kept = ["--runs", str(FLIGHTS), "--keep", ",".join(map(str, range(FLIGHTS))), "--no-report"]
     command = [sys.executable, "-m", _SIMRUN, "campaigns/first", *kept, *coarse, "--out", str(folder / "campaign")]
     done = subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode
-    if done not in (0, 1, 3):  # verdicts may be open or missed
+    if done not in (0, 1, 3):  # exit codes: the verdicts may be open or missed
         raise RuntimeError(f"simrun campaigns/first ended with code {done}")
     result = _timed(_SIMREPLAY, str(folder / "campaign"), "--save", str(folder / "many.rrd"))
     size = (folder / "many.rrd").stat().st_size / 1e6
@@ -98,8 +96,9 @@ def _many(folder: Path) -> dict[str, float]:
 
 
 def _picture(rrd: Path, time_s: float) -> dict[str, float]:
-    """Measure opening a recording, a settled picture, a new layout of the window, moving the cursor, and memory of the
-    viewer.
+    """Return the times to open a recording with a settled picture, to lay out the window, and to move the cursor.
+
+    The result includes the memory of the viewer.
     """
     from maxq.tools.replay import viewer  # noqa: PLC0415  # loads rerun
 
@@ -125,7 +124,7 @@ def _picture(rrd: Path, time_s: float) -> dict[str, float]:
 
 
 def measure() -> dict[str, Any]:
-    """Return all figures. Those that cannot be measured here have the reason instead."""
+    """Return all figures of the benchmark. For those that cannot be measured here, `skipped` states the reason."""
     from maxq.tools.replay.viewer import ReplayError  # noqa: PLC0415  # lazy
 
     folder = Path(tempfile.mkdtemp(prefix="maxq-bench-"))

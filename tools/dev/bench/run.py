@@ -1,8 +1,7 @@
 """The runner of all benchmarks: `make bench`.
 
-Results go to docs/performance.json, tables and picture to docs/performance.md.
-
-Every part runs in separate processes, so that no part uses the memory and caches of another.
+Results are written to docs/performance.json, tables and picture to docs/performance.md and docs/pictures. Every part
+runs in separate processes, so that no part uses the memory or caches of another.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ PICTURE = DOCS / "pictures" / "work-precision.svg"
 
 
 def _in_own_process(module: str, *arguments: str) -> Any:
-    """Return the JSON that a module of this folder prints. Raises RuntimeError with its last line of stderr."""
+    """Return the JSON printed by a module of this folder. Raises RuntimeError with the last line of its stderr."""
     done = subprocess.run(
         [sys.executable, "-m", f"maxq.tools.dev.bench.{module}", *arguments],
         capture_output=True,
@@ -62,7 +61,7 @@ def main() -> int:
         "--peers",
         type=Path,
         default=REPOSITORY / ".venv-bench/bin/python",
-        help="Python of the environment that holds the programs compared with",
+        help="Python of the environment that has the programs for comparison",
     )
     parser.add_argument("--rounds", type=int, default=5, help="flights of each of these programs (default 5)")
     parser.add_argument("--repetitions", type=int, default=5, help="runs of each command (default 5)")

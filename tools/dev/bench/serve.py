@@ -1,6 +1,6 @@
-"""The loop of a worker: it reads a line from its standard input, flies and answers with a line of JSON.
+"""The loop of a worker: it reads a line from its standard input, flies, and answers with a line of JSON.
 
-The flights of several programs thus alternate in one run, each in a separate process that stays warm.
+In this way, the flights of several programs alternate in one run, each in a separate process with loaded caches.
 """
 
 from __future__ import annotations
@@ -14,15 +14,16 @@ from collections.abc import Callable
 from typing import Any
 
 State = list[float]
-"""The end of a flight: position, m, then the quaternion of the attitude, both in any frame at rest."""
+"""The end of a flight: position (m) and attitude quaternion, both in any frame at rest."""
 Prepare = Callable[[], Callable[[], tuple[int, State]]]
 
 
 def serve(about: dict[str, Any], prepare: Prepare) -> None:
-    """Answer until the input ends.
+    """Answer each line of the standard input with a flight, until the input ends.
 
-    `prepare` sets up a flight and returns a function that flies it. This function returns its steps and its end. Both
-    calls are timed separately. All other text that the program prints on its standard output, from C too, is discarded.
+    `prepare` sets up a flight and returns a function that flies it. This function returns the number of steps and the
+    end of the flight. The two calls are timed separately. All other text on the standard output, also from C, is
+    discarded.
     """
     answers = os.fdopen(os.dup(1), "w")
     nowhere = os.open(os.devnull, os.O_WRONLY)

@@ -1,4 +1,4 @@
-"""The comparison of other programs with maxq, flown alternately in the same run, each in a separate process."""
+"""The comparison of other programs with maxq: their flights alternate in one run, each in a separate process."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from maxq.tools.dev.bench.steps import IDEAL
 
 @dataclass(frozen=True)
 class ProgramFlight:
-    """The flight of a program: its description, and the worker that flies it."""
+    """A flight of a program: its description, and the worker that flies it."""
 
     key: str
     what: str
     module: str
     ours: bool = False
     arguments: tuple[str, ...] = ()
-    rounds: int | None = None  # None: in every round
-    needed: float | None = None  # target ratio of its time to that of maxq
+    rounds: int | None = None  # rounds in which it flies; None: all
+    needed: float | None = None  # required ratio of its time to that of maxq
 
 
 CASES = (
@@ -75,7 +75,7 @@ def _line(process: subprocess.Popen[str]) -> str:
 
 @dataclass(frozen=True)
 class Refined:
-    """A program with refined steps: arguments of its worker with their meaning, the reference last."""
+    """A program with refined steps: the names of its methods with the arguments of the worker, the reference last."""
 
     program: str
     module: str
@@ -107,10 +107,10 @@ REFINED = (
 
 
 def accuracy(peers_python: Path, flights: int = 3) -> list[dict[str, Any]]:
-    """Return by program and method the least CPU time of some flights, `cpu_s`, and the distance of the flight's end
-    from that with its finest steps, `position_m` and `attitude_deg`.
+    """Return for each program and method the least CPU time of some flights and the error of the flight's end.
 
-    A skipped program has the reason in `skipped`.
+    The errors `position_m` and `attitude_deg` are relative to the program's finest method. A skipped program has the
+    reason in `skipped`.
     """
     return [
         row for each in REFINED for row in _refined(each, Path(sys.executable) if each.ours else peers_python, flights)
@@ -123,7 +123,7 @@ def _refined(of: Refined, python: Path, flights: int) -> list[dict[str, Any]]:
         try:
             worker = _start(ProgramFlight(of.program, name, of.module, of.ours, arguments), python)
             try:
-                worker.fly()  # compiles, fills caches
+                worker.fly()  # compiles and fills caches
                 flown = [worker.fly() for _ in range(flights)]
             finally:
                 worker.process.terminate()
@@ -156,10 +156,10 @@ def _start(case: ProgramFlight, python: Path) -> _Worker:
 
 
 def measure(peers_python: Path, rounds: int) -> dict[str, Any]:
-    """Fly `rounds` rounds: each other program once, with maxq before each of them. First flights do not count.
+    """Return the times of each program in `rounds` rounds, in which maxq flies before each other program.
 
-    The times per program are `cpu_s`, `wall_s`, `set_up_s` (each a list), with `steps` and `flown_s`. A skipped program
-    has the reason in `skipped`.
+    The first flight of a program does not count. The times are the lists `cpu_s`, `wall_s` and `set_up_s`, with `steps`
+    and `flown_s`. A skipped program has the reason in `skipped`.
     """
     results: dict[str, Any] = {}
     workers: list[_Worker] = []
@@ -169,7 +169,7 @@ def measure(peers_python: Path, rounds: int) -> dict[str, Any]:
                 worker = _start(case, Path(sys.executable) if case.ours else peers_python)
                 workers.append(worker)
                 if case.rounds is None:
-                    worker.fly()  # compiles, fills caches
+                    worker.fly()  # compiles and fills caches
             except (OSError, RuntimeError) as error:
                 results[case.key] = {"what": case.what, "skipped": str(error)}
         working = [w for w in workers if w.case.key not in results]

@@ -1,8 +1,7 @@
-"""The benchmark of error against step: RK4 on its grid, and steps selected by run.accuracy, for both vehicles and for
-stiff ones.
+"""The benchmark of error against step: RK4 at fixed steps, and steps selected by run.accuracy, for several vehicles.
 
 Converter, DAC and roll thrusters, whose outputs are steps, are ideal as in precision.py. The reference is RK4 at 0.1
-ms. Metric errors are relative to the scenario's requirements, or to the metric itself without a requirement.
+ms. The error of a metric is relative to its requirement or, without a requirement, to the metric itself.
 """
 
 from __future__ import annotations
@@ -53,12 +52,12 @@ GUST = (
 
 @dataclass
 class StepStudyFlight:
-    """The states every `EVERY_NS` with the sizes of their stage, and the cost of the flight."""
+    """The states of a flight every `EVERY_NS` with the sizes of their stage, and the cost of the flight."""
 
     states: dict[int, tuple[Array, Any]]
     flight: Flight
     cpu_s: float
-    longest_ms: tuple[float, ...]  # of each stage
+    longest_ms: tuple[float, ...]  # longest step of each stage
 
 
 def _fly(scenario: str, overrides: tuple[str, ...], method: str) -> StepStudyFlight:
@@ -89,7 +88,7 @@ def _row(flown: StepStudyFlight, exact: StepStudyFlight) -> dict[str, Any]:
 
 
 def _shares(flight: Flight, exact: Flight) -> Iterator[tuple[str, float]]:
-    """Return the error of each metric as a share of its requirement, or of its value."""
+    """Yield the name and error of each metric, as a share of its requirement or of its value."""
     limits = {r.metric: abs(r.limit or r.minimum or 0.0) for r in exact.scenario.scenario.requirement}
     for name, value in exact.metrics.items():
         scale = limits.get(name) or abs(value)
@@ -98,7 +97,7 @@ def _shares(flight: Flight, exact: Flight) -> Iterator[tuple[str, float]]:
 
 
 def measure() -> dict[str, Any]:
-    """Return the errors by vehicle and method."""
+    """Return the errors and costs by flight and method."""
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as scratch:
         made = Path(scratch) / "petrel"

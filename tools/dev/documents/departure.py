@@ -1,4 +1,4 @@
-"""The differences of the paper's continuous loop from the sampled one that flies."""
+"""The difference between the paper's continuous loop and the sampled loop of the flight computer."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ PARTS: tuple[DeparturePart, ...] = ("total", "pade", "aliasing", "integrator", "
 
 @dataclass(frozen=True)
 class Departure:
-    """The ratio of Padé loop to sampled loop at one operating point, dB and deg, (frequencies,).
+    """The ratio of the Padé loop to the sampled loop at one operating point, in dB and deg at each frequency.
 
     `total` is the sum of four parts, each a ratio:
 
     - `pade`: eqs 30 to 32 over their exact factors
     - `aliasing`: the exact factors without images over the sampled path; infinite in dB where the images cancel it
     - `integrator`: k_p / s + k_d over k_p T z / (z - 1) + k_d
-    - `filter`: the continuous filter over the discrete one.
+    - `filter`: the continuous filter over the discrete filter.
     """
 
     node: Node
@@ -37,10 +37,10 @@ class Departure:
     db: dict[DeparturePart, Array]
     deg: dict[DeparturePart, Array]
     sampled_db: Array  # |L| of the sampled loop
-    resonances: tuple[Resonance, ...]  # of the sampled loop
+    resonances: tuple[Resonance, ...]  # resonances of the sampled loop
 
     def at(self, frequency_hz: float) -> dict[DeparturePart, tuple[float, float]]:
-        """(dB, deg) of each part at the tabulated frequency nearest to `frequency_hz`."""
+        """Return (dB, deg) of each part at the tabulated frequency nearest to `frequency_hz`."""
         k = int(np.argmin(np.abs(self.frequency_hz - frequency_hz)))
         return {part: (float(self.db[part][k]), float(self.deg[part][k])) for part in PARTS}
 
@@ -48,7 +48,11 @@ class Departure:
 def departure(
     node: Node, continuous: Controller, discrete: Controller, frequencies_hz: ArrayLike | None = None
 ) -> Departure:
-    """Compare the loops of a design at a node: by default at 400 frequencies and every resonance up to Nyquist."""
+    """Compare the loops of a design at an operating point.
+
+    `continuous` and `discrete` are its law in both forms. By default, the frequencies are 400 values up to the Nyquist
+    frequency and every resonance.
+    """
     paths = PadeFixedPath(node), ExactFixedPath(node), SampledFixedPath(node)
     found = tuple(paths[2].resonances())
     if frequencies_hz is None:

@@ -1,4 +1,4 @@
-"""The differences of the paper's continuous loop from the sampled one that flies, by operating point.
+"""The table of the differences between the paper's continuous loop and the sampled loop, by operating point.
 
     python -m maxq.tools.dev.documents.departure_table [FILE]
 
@@ -72,12 +72,12 @@ def table_text(found: list[Departure], measured: list[tuple[Margins, Margins]]) 
 
 
 def _resonance(d: Departure, label: str) -> float:
-    """Return the frequency of a resonance, Hz."""
+    """Return the frequency of a resonance of the sampled loop, Hz."""
     return next(r.frequency_hz for r in d.resonances if r.label == label)
 
 
 def compare() -> tuple[list[Departure], list[tuple[Margins, Margins]]]:
-    """Return departures and margins (sampled, Padé) at the paper's operating points."""
+    """Return the departures and the margins (sampled, Padé) at the paper's operating points."""
     loaded = load_scenario(SCENARIO, [f'design="{DESIGN}"'])
     design = loaded.design
     assert design is not None
@@ -94,7 +94,7 @@ def _margins(loop: Loop) -> Margins:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Compare, write, print. The exit code is 2 for unknown arguments."""
+    """Compare the loops, and write and print the page. The exit code is 2 for unknown arguments."""
     given = sys.argv[1:] if arguments is None else arguments
     if len(given) > 1 or any(item.startswith("-") for item in given):
         print((__doc__ or "").strip(), file=sys.stderr)

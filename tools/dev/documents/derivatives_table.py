@@ -2,7 +2,7 @@
 
     python -m maxq.tools.dev.documents.derivatives_table [FILE]
 
-flies `nominal` and computes the stability derivatives (eqs 4 to 8) along the path from 5 s to 55 s. Writes them with
+flies `nominal` and computes the stability derivatives (eqs 4 to 8) along its path from 5 s to 55 s. It writes them with
 the paper's ranges into FILE (default: docs/flights/nominal-derivatives.md) and to the terminal.
 """
 
@@ -33,7 +33,7 @@ COLUMNS = {
     "m_delta_1ps2": ("M_delta", "1/s2"),
     "m_q_1ps": ("M_q", "1/s"),
 }
-PAPER = {  # Table 2: minimum, maximum
+PAPER = {  # Table 2: minimum and maximum
     "z_alpha_1ps": (-0.55, -0.1),
     "m_alpha_1ps2": (-40.0, -1.0),
     "z_delta_1ps": (0.05, 0.38),
@@ -42,7 +42,7 @@ PAPER = {  # Table 2: minimum, maximum
 
 
 def flown_derivatives(flight: Flight, times_s: Array) -> list[StabilityDerivatives]:
-    """Return the derivatives at points of a flight's path: flown speed, air and Mach number; liquid frozen."""
+    """Return the derivatives along a flight at its speed, air and Mach number, with frozen liquids."""
     packed = pack_flight(flight.scenario.scenario)
     names = ("airspeed_mps", "density_kgpm3", "pressure_Pa", "mach", "pitch_deg")
     clock = flight.time_s("airspeed_mps")
@@ -64,7 +64,7 @@ def flown_derivatives(flight: Flight, times_s: Array) -> list[StabilityDerivativ
 
 
 def table_text(times_s: Array, values: Array) -> str:
-    """Return the page; `values` (times, 5) in the order of COLUMNS."""
+    """Return the page. `values` is (times, 5), in the order of COLUMNS."""
     names = [f"{name} ({unit})" for name, unit in COLUMNS.values()]
     lines = [
         "# Stability derivatives of the nominal flight",
@@ -103,7 +103,7 @@ def table_text(times_s: Array, values: Array) -> str:
 
 
 def _farthest(values: Array) -> float:
-    """Return the largest relative distance of flown extremes from the paper's, without M_delta."""
+    """Return the largest relative difference of the flown extremes from those of the paper, without M_delta."""
     flown = {key: (values[:, k].min(), values[:, k].max()) for k, key in enumerate(COLUMNS)}
     return max(
         abs(float(ours) / theirs - 1.0)
@@ -114,7 +114,7 @@ def _farthest(values: Array) -> float:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Fly, write, print. The exit code is 2 for unknown arguments."""
+    """Fly the scenario, and write and print the page. The exit code is 2 for unknown arguments."""
     given = sys.argv[1:] if arguments is None else arguments
     if len(given) > 1 or any(item.startswith("-") for item in given):
         print((__doc__ or "").strip(), file=sys.stderr)

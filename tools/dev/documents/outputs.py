@@ -3,20 +3,20 @@
     python -m maxq.tools.dev.documents.outputs              # renew every page that quotes an output
     python -m maxq.tools.dev.documents.outputs --check      # name the outputs that are out of date
 
-`--short` leaves the outputs of the commands in `LONG` as they are. The exit code of `--check` is 1 if an output is out
-of date.
+`--short` leaves the outputs of the commands in `LONG` unchanged. The exit code of `--check` is 1 if an output is out of
+date.
 
-A fenced block ```` ```console ```` holds commands (`$ simrun nominal`, continued after a backslash) and below each the
-lines that it prints on stdout and stderr. The commands of a page run in order in one scratch folder. It contains
-`examples`, and the files that the page shows: a block ```` ```toml ```` whose first line is `# NAME.toml`. Compiled
-kernels and results come from the usual cache (`$MAXQ_CACHE`).
+A fenced block ```` ```console ```` contains commands (`$ simrun nominal`, continued after a backslash), and below each
+command the lines that it prints on stdout and stderr. The commands of a page run in order in one scratch folder. The
+folder contains `examples`, and the files that the page shows: a block ```` ```toml ```` whose first line is
+`# NAME.toml`. Compiled kernels and results come from the usual cache (`$MAXQ_CACHE`).
 
-- A line `...` elides any number of lines. The lines between two elisions are found again by the words of the first and
-  the last of them. If the last line of an output reads quite differently now, it is the outcome line.
-- An output is current if it has the same words, and numbers within 1 %. The last digits of an optimum depend on the
-  processor. Numbers that measure the machine (`MACHINE`) and spaces are not compared; lines of progress (`PROGRESS`)
-  are not quoted.
-- A current output keeps its text, so a page changes only where a command prints something else.
+- A line `...` elides any number of lines. The lines between two elisions are found by the words of the first and the
+  last of these lines. If no printed line resembles the last line of an output, the outcome line replaces it.
+- An output is current if it has the same words, and numbers within 1 %, since the last digits of an optimum depend on
+  the processor. Numbers that measure the machine (`MACHINE`) and spaces are not compared. Lines of progress
+  (`PROGRESS`) are not quoted.
+- A current output keeps its text, so that a page changes only where a command prints something else.
 """
 
 from __future__ import annotations
@@ -40,28 +40,28 @@ LONG = {
     "simdesign analyse ksr3-robust-ascent --at 10 --at 50 --no-pictures": "dispersed vehicles: half a minute",
     "simverify ksr3-ringed --suite ksr3-ringed": "the whole suite standard: twenty minutes of one core",
 }
-"""The quoted commands that `--short` does not run, with the reason."""
+"""The quoted commands that `--short` does not run, with the reasons."""
 MACHINE = re.compile(
     r"flown in [\d.]+ s|[\d.]+ times real time|[\d.]+ s in all|[\d.]+ flights/s"
     r"|[\d.]+ s, \d+ results reused|[\d.]+ [kM]B|\b[0-9a-f]{16}\b"
 )
-PROGRESS = re.compile(r"[a-z][\w ]*: [\d.]+ of [\d.]+\b")  # lines that a command prints while it is running
+PROGRESS = re.compile(r"[a-z][\w ]*: [\d.]+ of [\d.]+\b")  # lines printed during the work
 _BLOCK = re.compile(r"^```console\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _FILE = re.compile(r"^```toml\n(# ([\w-]+\.toml)\n.*?)^```$", re.MULTILINE | re.DOTALL)
 _NUMBER = re.compile(r"-?\d+(?:,\d{3})*(?:\.\d+)?(?:e[-+]?\d+)?")
-_RELATIVE = 0.01  # two numbers that differ by less are equal
+_RELATIVE = 0.01  # relative difference below which two numbers are equal
 _ALIKE = 0.5  # least similarity of a line to the line that it replaces
 
 QuotedRun = Callable[[str, Path], list[str]]
 
 
 class OutputError(Exception):
-    """A quoted command that failed, or an output whose shown lines are not found."""
+    """An error of a quoted command that failed, or of an output whose shown lines are not found."""
 
 
 @dataclass(frozen=True)
 class Quoted:
-    """A quoted command: its line in the page, its text, and the lines shown below it."""
+    """A quoted command: its line number in the page, its text, and the lines shown below it."""
 
     line: int
     command: str
@@ -75,12 +75,12 @@ def pages() -> list[Path]:
 
 
 def files_of(text: str) -> dict[str, str]:
-    """Return the files that a page shows, by their names."""
+    """Return the files that a page shows, by name."""
     return {name: content for content, name in _FILE.findall(text)}
 
 
 def run(command: str, folder: Path) -> list[str]:
-    """Run a command in a folder, and return the lines that it prints."""
+    """Run a command in a folder, and return the lines that it prints. Raises OutputError if it fails."""
     paths = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     own = {"PATH": paths, "COLUMNS": str(WIDTH), "MPLBACKEND": "Agg", "MAXQ_LEDGER": str(folder / "attempts")}
     done = subprocess.run(
@@ -101,7 +101,7 @@ def run(command: str, folder: Path) -> list[str]:
 def renew(text: str, folder: Path, run: QuotedRun = run, short: bool = False) -> tuple[str, list[str]]:
     """Return a page with its outputs renewed, and a line for each output that was out of date.
 
-    `short`: outputs of the commands in `LONG` stay as they are.
+    If `short` is True, the outputs of the commands in `LONG` are unchanged. Raises OutputError.
     """
     stale: list[str] = []
     for name, content in files_of(text).items():
@@ -124,7 +124,7 @@ def renew(text: str, folder: Path, run: QuotedRun = run, short: bool = False) ->
 
 
 def renewed_lines(shown: Sequence[str], printed: Sequence[str]) -> list[str]:
-    """Return the printed lines that correspond to the shown ones, with the same elisions."""
+    """Return the printed lines that correspond to the shown lines, with the same elisions. Raises OutputError."""
     parts = _split(shown)
     lines: list[str] = []
     start, last = 0, len(parts) - 1
@@ -142,7 +142,7 @@ def renewed_lines(shown: Sequence[str], printed: Sequence[str]) -> list[str]:
 
 
 def _quoted(lines: Sequence[str], first: int) -> Iterable[Quoted]:
-    """Return the commands of a block, whose first line has a number in the page."""
+    """Yield the commands of a block. `first` is the number of its first line in the page."""
     starts = [number for number, line in enumerate(lines) if line.startswith("$ ")]
     for start, end in zip(starts, [*starts[1:], len(lines)], strict=True):
         below = start
@@ -164,17 +164,20 @@ def _split(shown: Sequence[str]) -> list[list[str]]:
 
 
 def _stripped(lines: Sequence[str]) -> list[str]:
-    """Return lines without the blank ones at both ends."""
+    """Return lines without blank lines at both ends."""
     return "\n".join(lines).strip("\n").splitlines()
 
 
 def _outcome(printed: Sequence[str]) -> int:
-    """Return the number of the last printed line that continues no other."""
+    """Return the index of the last printed line that is not a continuation."""
     return max((number for number, line in enumerate(printed) if not line.startswith(" ")), default=0)
 
 
 def _find(line: str, printed: Sequence[str], start: int, anchor: int | None = None) -> int:
-    """Return the number of the printed line most like one, by words and then by numbers; else the anchor."""
+    """Return the index of the printed line that is most similar to a line, by words and then by numbers, else `anchor`.
+
+    Raises OutputError if there is neither.
+    """
     best, found = (_ALIKE, 0.0), anchor
     for number in range(start, len(printed)):
         other = printed[number]
@@ -199,7 +202,7 @@ def _current(shown: Sequence[str], printed: Sequence[str]) -> bool:
 
 
 def _equal(one: str, other: str) -> bool:
-    """Return True if two lines are equal by the rule of this module."""
+    """Return True if two lines are equal by the rules in the docstring of this module."""
     one, other = MACHINE.sub("", one), MACHINE.sub("", other)
     if _words(one) != _words(other):
         return False
@@ -212,7 +215,7 @@ def _close(one: float, other: float) -> bool:
 
 
 def _difference(shown: Sequence[str], printed: Sequence[str]) -> str:
-    """Return the first line that differs, as shown and as printed."""
+    """Return a text on the first line that differs, as shown and as printed."""
     for number in range(max(len(shown), len(printed))):
         one, other = (lines[number] if number < len(lines) else "" for lines in (shown, printed))
         if not _equal(one, other):
@@ -229,7 +232,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("page", nargs="*", type=Path, help="pages; all with quoted outputs if none is given")
     parser.add_argument("--check", action="store_true", help="change no page; exit code 1 if an output is out of date")
-    parser.add_argument("--short", action="store_true", help="leave the outputs of commands of minutes as they are")
+    parser.add_argument("--short", action="store_true", help="keep the outputs of commands that take minutes")
     given = parser.parse_args(arguments)
     wrong = 0
     for page in given.page or pages():

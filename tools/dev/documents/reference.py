@@ -3,8 +3,8 @@
     python -m maxq.tools.dev.documents.reference [--write]
 
 names the pages whose tables differ from the code, with exit code 1 if there are any; `--write` renews them. A page
-marks the place of a table with `<!-- from code: keys scenario -->`. The table follows, up to `<!-- end of code -->`;
-`--write` adds both where they are missing. TABLES below lists the kinds. The site is built with the same function.
+marks the place of a table by `<!-- from code: keys scenario -->`. The table follows, up to `<!-- end of code -->`;
+`--write` adds both where they are missing. TABLES below lists the kinds. The build of the site uses the same function.
 """
 
 from __future__ import annotations
@@ -108,12 +108,12 @@ def pages() -> list[Path]:
 
 
 def keys(kind: str) -> str:
-    """List every key of a kind of file, section by section."""
+    """Return tables of every key of a kind of file, section by section."""
     return "\n".join(_section(MODELS[kind], "", {}))
 
 
 def topics(scenario: str) -> str:
-    """List every channel that flights of a scenario log, and those of parts that its vehicle lacks."""
+    """Return tables of every channel that flights of a scenario log, and of those for parts that its vehicle lacks."""
     loaded = load_scenario(scenario)
     stage = loaded.vehicle.stage[0]
     sizes = replace(stage_sizes(stage, loaded.scenario.switches), tvc_loads=1, sensors=2)
@@ -127,22 +127,22 @@ def topics(scenario: str) -> str:
 
 
 def events() -> str:
-    """List every event of a flight."""
+    """Return a table of every event of a flight."""
     return _rows(("event", "when"), [(f"`{name}`", _EVENT_MEANINGS[name]) for name in _EVENTS])
 
 
 def metrics() -> str:
-    """List every metric of a flight."""
+    """Return a table of every metric of a flight."""
     return _rows(("metric", "unit", "meaning"), [(f"`{m.name}`", m.unit, m.description) for m in METRICS.values()])
 
 
 def ranges() -> str:
-    """List the ranges of numbers by the names of keys and columns."""
+    """Return a table of the ranges of numbers, by the names of keys and columns."""
     return "\n".join(_ranges())
 
 
 def help_of(command: str) -> str:
-    """Return the help of a command and of its subcommands, below a heading each."""
+    """Return the help of a command and of its subcommands, each subcommand below a heading."""
     code = f"import json; from maxq.tools.{command} import _parser; print(json.dumps(_parser().helps()))"
     done = subprocess.run(
         [sys.executable, "-c", code], env={"COLUMNS": "92"}, capture_output=True, text=True, check=True
@@ -233,7 +233,7 @@ TABLES: dict[str, Callable[..., str]] = {
 
 
 def main() -> int:
-    """Check the pages, or write them; 1 if a page is out of date and not written."""
+    """Check the pages or renew them. Return 1 if a page is out of date and not renewed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="renew the tables")
     write, stale = parser.parse_args().write, False

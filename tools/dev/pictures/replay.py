@@ -1,8 +1,8 @@
 """The pictures of docs/replay.md: `python -m maxq.tools.dev.pictures.replay [DIR]`.
 
-The module flies the nominal scenario without wind, in the November wind and in four times that wind. It also flies a
-scenario that loses control, and petrel in its limit wind with section loads. It then takes pictures of `simreplay`
-showing these flights, and draws a sheet of the standard set. It needs no display.
+The module flies the nominal scenario without wind, in the November wind and in four times this wind. It also flies a
+scenario that loses control, and petrel in its limit wind with section loads. It takes pictures of `simreplay` with
+these flights, and draws a sheet of the standard set. No display is needed.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ FLIGHTS = {
         'injection=[{at="body_torque",axis="y",kind="step",amplitude_Nm=3e5,start_s=9.0}]',
     ],
 }
-SHOTS = (  # flights, time, tab, name of the picture
+SHOTS = (  # flights, time (s), tab, name of the picture
     (("windy",), 40.0, "Bending", "replay"),
     (("nominal",), 0.3, "Attitude", "liftoff"),
     (("nominal",), 43.2, "Loads", "max-q"),
@@ -58,13 +58,13 @@ SHOTS = (  # flights, time, tab, name of the picture
     (("nominal", "windy", "failing"), 47.0, "Loads", "several"),
     (("petrel",), 58.0, "Loads", "petrel"),
 )
-EYES = {"petrel": (3.4, -8.3, -11.5)}  # under the engines
+EYES = {"petrel": (3.4, -8.3, -11.5)}  # below the engines
 SHEETS = (("failing", "gimbal"),)
-WIDTH = 1280  # of a picture in the repository
+WIDTH = 1280  # width of a picture in the repository, pixels
 
 
 def _eyes(close: tuple[float, float, float] | None) -> Callable[..., convert.Eyes]:
-    """Return the usual cameras, but with the close one at a position in m east, north and up of the vehicle."""
+    """Return a replacement of `eyes_for` whose close-up camera is at `close` (m east, north, up of the vehicle)."""
     usual = convert.eyes_for
     return lambda *given: usual(*given) if close is None else replace(usual(*given), close=close)
 
@@ -99,7 +99,7 @@ def main() -> int:
 
 
 def _as_rerun_shows_it(log: Path, target: Path) -> None:
-    """Take pictures of a log opened directly by Rerun: without a layout, and with that of maxq."""
+    """Take pictures of a log that Rerun opens directly: without a layout, and with the layout of maxq."""
     with viewer.headless() as start:
         client = start()
         viewer.open_whole(client, log)
@@ -114,7 +114,7 @@ def _as_rerun_shows_it(log: Path, target: Path) -> None:
 def _keep(png: bytes, path: Path) -> None:
     picture = Image.open(io.BytesIO(png)).convert("RGB")
     picture.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
-    few = picture.quantize(256, kmeans=2, dither=Image.Dither.NONE)  # half the size; colours of curves remain distinct
+    few = picture.quantize(256, kmeans=2, dither=Image.Dither.NONE)  # half the size; curves keep distinct colours
     few.save(path, optimize=True)
     print(path)
 

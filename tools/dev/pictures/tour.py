@@ -2,8 +2,8 @@
 
 The module draws two flights of the nominal scenario next to the margins of the design that they fly. It runs the
 commands of the pages in the folder RUNS (default: a temporary one), and takes pictures of the files and report pages
-that they write. A result that is already in RUNS is used as it is. The module needs Chromium, and about ten minutes for
-all results.
+that they write. A result that already exists in RUNS is used unchanged. The module needs Chromium, and about ten
+minutes for all results.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from maxq.tools.plots.palette import BLUE, LIMIT, ORANGE
 from maxq.tools.plots.style import drawing, label, save, sheet
 
 TARGET = ROOT / "docs" / "pictures" / "tour"
-COMMANDS = {  # by what they write
+COMMANDS = {  # by the path that they write
     "runs/nominal": "simrun nominal",
     "runs/sheets": "simreplay runs/nominal --plots runs/sheets",
     "runs/first": "simrun campaigns/first",
@@ -43,7 +43,7 @@ COPIES = {
     "margins-my-gains": "runs/my-gains/margins.png",
     "loop-hawk": "runs/loop/loop-050.0s.png",
 }
-SHOTS = {  # of a page: the elements that are shown
+SHOTS = {  # of each page: the elements shown
     "vehicle-page": ("hawk/vehicle.html", "#figure-vehicle, #figure-modes"),
     "campaign-report": ("runs/first/report.html", "#figure-histograms"),
     "review-pack": ("runs/verify-design/review.html", ".verdict, .own-page > table:first-of-type"),
@@ -78,7 +78,7 @@ def main() -> int:
 
 
 def _take_pictures(folder: Path) -> None:
-    """Run the commands whose results are missing, copy pictures, and photograph report pages."""
+    """Run the commands whose results are missing, copy pictures, and take pictures of report pages."""
     if not (folder / "examples").exists():
         (folder / "examples").symlink_to(ROOT / "examples")
     for name, text in files_of((ROOT / "docs/start/margins.md").read_text(encoding="utf-8")).items():
@@ -94,7 +94,9 @@ def _take_pictures(folder: Path) -> None:
 
 
 def _photograph(page: Path, shown: str, target: Path) -> None:
-    """Save a picture of some elements of a page, without the white margin around them."""
+    """Save a picture of the elements of a page that match the selector `shown`, without the white margin around
+    them.
+    """
     script = f"""<script>addEventListener("load", () => setTimeout(() =>
         document.body.replaceChildren(...document.querySelectorAll({shown!r})), 500));</script>"""
     with tempfile.TemporaryDirectory() as name:
@@ -113,7 +115,7 @@ def _photograph(page: Path, shown: str, target: Path) -> None:
 
 
 def save_small(image: Image.Image, target: Path) -> None:
-    """Save a picture with few colours, which halves its file. The method keeps the colours of small marks."""
+    """Save a picture with few colours, which halves its file. The method preserves the colours of small marks."""
     few = image.quantize(128, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     few.save(target, optimize=True)
 
@@ -167,7 +169,7 @@ def _draw_margins(gain: Axes, phase: Axes) -> None:
 
 
 def _limit(place: Axes, value: float, *, above: bool) -> None:
-    """Draw a limit and name it on the side that it excludes."""
+    """Draw a limit, and name it on the side that it excludes."""
     place.axhline(value, color=LIMIT, linewidth=1.2)
     place.annotate(
         f"limit {value:g}",

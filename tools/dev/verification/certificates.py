@@ -1,6 +1,8 @@
-"""Certify the nominal scenario's design at eleven operating points in both planes, and write every second one into the
-table of docs/verification.md: `python -m maxq.tools.dev.verification.certificates`.
-The exit code is 1 where a certificate fails.
+"""Certify the nominal scenario's design at eleven operating points in both planes:
+`python -m maxq.tools.dev.verification.certificates`.
+
+Every second operating point is written into the table of docs/verification.md. The exit code is 1 if a certificate
+fails.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ TIMES_S = tuple(float(t) for t in range(5, 60, 5))
 
 
 def row(c: NodeCertificate, passing: InFlightResponse) -> str:
-    """Return a line of the table: the largest differences of one operating point."""
+    """Return a row of the table: the largest differences at an operating point. `passing` is its response in flight."""
     r = c.responses
     clean = np.isfinite(r.unrounded.real)
     above = clean & (np.abs(r.sampled) > 10.0**-2.5)

@@ -1,13 +1,13 @@
-"""Measure the rates at which a vehicle of known quality ends accepted or rejected: `python -m
-maxq.tools.dev.verification.error_rates` writes the table of docs/verification.md (some minutes).
+"""Measure the rates at which a vehicle of known quality ends accepted or rejected:
+`python -m maxq.tools.dev.verification.error_rates` writes the table of docs/verification.md (some minutes).
 
 No flight is flown. A flight misses a requirement if its uniform number is in an interval of the required length. All
 else is the harness: verdicts on campaigns and their union, the rule of the ledger for seeds, and subset simulation.
 
 - Campaigns begin with `RUNS` runs. The user adds the runs that the verdicts state, at most `MOST_STEPS` times.
-- Of `SEEDS` seeds, the user takes any that is accepted. The first is the declared one. The user registers each of the
-  others before its flights, as far as the ledger permits.
-- Rare events allow `RARE`. Their limit states are those of `rare_bounds`.
+- Out of `SEEDS` seeds, the user takes any that is accepted. The first is the declared seed. The user registers each of
+  the others before its flights, as far as the ledger permits.
+- Rare events are allowed with probability `RARE`. Their limit states are those of `rare_bounds`.
 """
 
 from __future__ import annotations
@@ -28,14 +28,17 @@ from maxq.tools.dev.verification.false_verdicts import MOST_RUNS, MOST_STEPS, Fo
 from maxq.tools.dev.verification.rare_bounds import CONFIDENCE, POPULATION, LimitState, decoy, discrete, noisy, plane
 from maxq.tools.dev.verification.section import VERIFICATION, rewrite
 
-SHARES = (0.5, 1.0, 1.05, 1.5)  # the probability of a miss divided by the allowed one
+SHARES = (0.5, 1.0, 1.05, 1.5)  # probability of a miss / allowed probability
 RUNS, SEEDS, SUCCESS, RARE = 1200, 20, 0.9973, 1e-4
 TEN = MetricIndex._fields[:10]
 OF = "campaign.0"
 
 
 def missed_alone(uniform: np.ndarray, each: float, metrics: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return values of metrics that are above a limit of 0 in the share `each` of the flights, no two in the same."""
+    """Return the values of metrics, each of which exceeds a limit of 0 in a share `each` of the flights.
+
+    No two metrics exceed it in the same flight.
+    """
     which = uniform // each
     return {name: np.where(which == k, 1.0, -1.0) for k, name in enumerate(metrics)}
 
@@ -43,11 +46,11 @@ def missed_alone(uniform: np.ndarray, each: float, metrics: Sequence[str]) -> di
 def settled(seed: Sequence[int], each: float, metrics: Sequence[str], steps: int = MOST_STEPS) -> str:
     """Return the verdict on a campaign after at most `steps` extensions by the runs that its verdicts state.
 
-    Each of `metrics` misses its limit in the share `each` of the flights.
+    Each of `metrics` misses its limit in a share `each` of the flights.
     """
     runs = RUNS
     for step in range(steps + 1):
-        uniform = np.random.default_rng(seed).random(runs)  # more runs have the same beginning
+        uniform = np.random.default_rng(seed).random(runs)  # a longer sequence has the same beginning
         loaded = campaign(tuple(metrics), 0.0).with_campaign(runs=runs, success=SUCCESS)
         rows = judged_runs(Formula(loaded, missed_alone(uniform, each, metrics)))
         verdict, more = overall(rows), max(row.more_runs for row in rows)
@@ -58,11 +61,11 @@ def settled(seed: Sequence[int], each: float, metrics: Sequence[str], steps: int
 
 
 def lacking(attempts: int) -> list[list[str]]:
-    """Return the evidence that each of a number of attempts with other seeds lacks, by the rule of the ledger."""
+    """Return the evidence that each of `attempts` attempts with other seeds lacks, by the rule of the ledger."""
     hashes, lines, out = {"vehicle": "v", "design": "d"}, list[Line](), []
     for value in range(attempts):
         seed = Seed(OF, value, 0, BY_HAND if value else DECLARED)
-        with contextlib.suppress(ValueError):  # where the ledger permits no other seed
+        with contextlib.suppress(ValueError):  # if the ledger permits no other seed
             lines.append(registered([seed], lines, "v") | {"date": "today"})
         out.append(missing(chosen([seed], lines, "d")))
         lines.append({"state": BEGUN, "hashes": hashes, "seeds": {OF: value}, "candidate": 0, "part": ""})
@@ -70,7 +73,7 @@ def lacking(attempts: int) -> list[list[str]]:
 
 
 def best_of_seeds(number: int, share: float, lack: Sequence[Sequence[str]]) -> str:
-    """Return the verdict of attempts with other seeds, of which those that lack evidence cannot be accepted."""
+    """Return the verdict of attempts with different seeds. Attempts that lack evidence cannot be accepted."""
     found = []
     for attempt in (n for n, lacks in enumerate(lack) if not lacks):
         found.append(settled((number, attempt), share * (1.0 - SUCCESS), TEN[:1]))
@@ -102,7 +105,7 @@ ROWS: Mapping[str, Callable[[int, float], str]] = {
 
 
 def row(name: str, repetitions: int) -> str:
-    """Return the row of a user and a vehicle: accepted | rejected at each share."""
+    """Return the row of a vehicle and user: accepted | rejected at each share."""
     cells = []
     for share in SHARES:
         print(f"{name}, {share:g}", end="\r", flush=True)
@@ -112,7 +115,7 @@ def row(name: str, repetitions: int) -> str:
 
 
 def main() -> None:
-    """Write the table."""
+    """Measure the rates and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repetitions", type=int, default=200, help="vehicles per row and probability")
     repetitions = parser.parse_args().repetitions

@@ -1,8 +1,8 @@
 """Measure the rates at which the harness accepts vehicles that fail too often, or rejects others:
 `python -m maxq.tools.dev.verification.false_verdicts` writes the table of docs/verification.md (some minutes).
 
-The vehicles are synthetic, with a known probability of failure. A formula replaces the loop and the flight. It shifts
-the drawn deviations so that exactly the share p of the phase margins and metrics exceeds the limit. All else is the
+The vehicles are synthetic, with a known probability of failure p. A formula replaces the loop and the flight. It shifts
+the drawn deviations so that exactly the share p of the phase margins and metrics misses the limit. All else is the
 harness with the standard suite: draws by seed, limits, verdicts on random vehicles and campaign, and their union.
 
 There are three users. The first runs the suite once. The second follows the advice "N more would settle it" at most
@@ -41,9 +41,9 @@ from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.tools.dev.verification.section import VERIFICATION, rewrite
 
 MOST_STEPS, MOST_VEHICLES, MOST_RUNS = 6, 30_000, 100_000
-LIMIT_DEG, LIMIT_ALPHA_DEG = 15.0, 1.0  # of the phase margin, and of the angle of attack
+LIMIT_DEG, LIMIT_ALPHA_DEG = 15.0, 1.0  # limits of the phase margin and of the angle of attack
 SHARES = ((0.0, 0.0), (0.1, 0.1), (0.5, 0.5), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0), (0.0, 2.0), (2.0, 0.0), (2.0, 2.0))
-"""The probability of failure divided by the allowed one, of linear vehicles and of flights."""
+"""The probabilities of failure divided by the allowed ones, for linear vehicles and for flights."""
 CAMPAIGN = """\
 schema = 1
 extends = "nominal.toml"
@@ -64,7 +64,7 @@ limit = {}
 
 
 class Formula(DataSet):
-    """A data set without files: `values` by metric, all flights complete."""
+    """A data set without files: `values` are by metric, and all flights are complete."""
 
     def __init__(self, campaign: LoadedCampaign, values: Mapping[str, np.ndarray]) -> None:
         super().__init__(Path(), campaign)
@@ -82,7 +82,7 @@ class Formula(DataSet):
 
 @cache
 def campaign(metrics: Sequence[str] = ("max_alpha_deg",), limit: float = LIMIT_ALPHA_DEG) -> LoadedCampaign:
-    """Return a campaign with one limit on each of `metrics`."""
+    """Return a campaign with a limit on each of `metrics`."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "synthetic.toml"
         path.write_text(CAMPAIGN + "".join(REQUIREMENT.format(metric, limit) for metric in metrics))
@@ -96,18 +96,18 @@ def threshold(p: float) -> float:
 
 @lru_cache(maxsize=8)
 def drawn(seed: int, count: int) -> np.ndarray:
-    """Return the deviations of the thrust of the first runs, in sigma."""
+    """Return the deviations of the thrust, in sigma, of the first `count` runs."""
     plan = campaign().with_campaign(seed=seed).plan
     return np.asarray((plan.draw(0, count).draws["vehicle.stage.0.engine.thrust_factor"] - 1.0) / 0.01)
 
 
 def thrust_sigmas(loaded: LoadedCampaign, count: int) -> np.ndarray:
-    """Return `drawn` for the seed of a campaign; each seed is drawn once."""
+    """Return the deviations of the thrust for the seed of a campaign. The runs of a seed are drawn only once."""
     return drawn(loaded.campaign.seed, MOST_RUNS)[:count]
 
 
 def linear_part(wanted: LinearMargins, loaded: LoadedCampaign, p: float) -> list[JudgedRequirement]:
-    """Judge random vehicles whose phase margin misses its limit if the drawn thrust is too large."""
+    """Judge random vehicles whose phase margin misses its limit with probability p, if the drawn thrust is large."""
     cases = np.full((wanted.cases, 1, len(SWEPT)), np.inf)
     cases[:, 0, SWEPT.index("rigid_phase_deg")] = LIMIT_DEG + threshold(p) - thrust_sigmas(loaded, wanted.cases)
     nominal = MarginCase("", ({"rigid_phase_deg": 40.0},))
@@ -115,13 +115,13 @@ def linear_part(wanted: LinearMargins, loaded: LoadedCampaign, p: float) -> list
 
 
 def flown_part(loaded: LoadedCampaign, p: float) -> list[JudgedRequirement]:
-    """Judge flights that miss their limit if the drawn thrust is too large."""
+    """Judge flights that miss their limit with probability p, if the drawn thrust is large."""
     values = LIMIT_ALPHA_DEG + thrust_sigmas(loaded, loaded.campaign.runs) - threshold(p)
     return judged_runs(Formula(loaded, {"max_alpha_deg": values}))
 
 
 def judged_runs(data: Formula) -> list[JudgedRequirement]:
-    """Judge the flights of a data set as a campaign of a suite."""
+    """Judge the flights of a data set as those of a campaign in a suite."""
     asked = data.campaign.campaign
     level = asked.success, asked.confidence
     return campaign_requirements(
@@ -130,7 +130,7 @@ def judged_runs(data: Formula) -> list[JudgedRequirement]:
 
 
 def settled(changes: list[str], seed: int, shares: tuple[float, float], steps: int) -> str:
-    """Return the verdict of the standard suite on a vehicle after at most `steps` requests for more runs."""
+    """Return the verdict of the standard suite on a vehicle, after at most `steps` requests for more runs."""
     suite = read_suite("standard", changes).suite
     margins, flights = suite.margins, suite.campaign[0]
     assert margins is not None
@@ -178,7 +178,7 @@ USERS = {"once": once, "follows the advice": advised, "takes any of four designs
 def rows(suites: int) -> list[str]:
     heads = [f"{user}: accepted | rejected" for user in USERS]
     count = Counter[tuple[Any, ...]]()
-    for seed in range(suites):  # the draws of a seed are made once for all rows
+    for seed in range(suites):  # the runs of a seed are drawn once for all rows
         count.update((shares, user, judge(seed, shares)) for user, judge in USERS.items() for shares in SHARES)
         print(f"suite {seed + 1} of {suites}", end="\r", flush=True)
     out = [f"| p / allowed, linear | flown | {' | '.join(heads)} |", "|---" * (2 + 2 * len(USERS)) + "|"]

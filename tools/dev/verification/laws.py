@@ -1,4 +1,4 @@
-"""Designs, certifies and flies every law on both shipped vehicles: `python -m maxq.tools.dev.verification.laws DIR`.
+"""Design, certify and fly every law on both shipped vehicles: `python -m maxq.tools.dev.verification.laws DIR`.
 
 Each row is a case of simdesign with other keys. Its design is certified in flight at operating points of its stage, in
 both planes, and flown without wind and in the vehicle's limit wind. Existing rows in DIR are not repeated, so that the
@@ -27,7 +27,7 @@ from maxq.tools.design import run_case
 from maxq.tools.dev.verification.section import VERIFICATION, rewrite
 
 DOCUMENT = VERIFICATION.parent / "flights" / "results.md"
-NODES = 3  # of a certificate
+NODES = 3  # operating points of a certificate
 NAMES = {"ksr3": "KSR-III", "petrel": "petrel"}
 UNSHOWN = ("pd F3", "pd F5")  # designed and certified, but not in the table
 HEAD = r"""| law | vehicle | least \|1 + L\| | certified | margins apart, dB; % of delay | still air | limit wind |
@@ -49,19 +49,19 @@ limits.rigid_hz = 0.3
 SENSORS = """schema = 1
 extends = "scenario.toml"
 [vehicle_overrides]
-""" + "".join(  # an accelerometer and a second gyro; those of the upper stages are at the position of their first one
+""" + "".join(  # an accelerometer and a second gyro, in upper stages at the station of the first
     f"stage.{n}.accelerometer = {{station_m = 6.8, count_mps = 0.001, {GYRO}}}\n"
     f"stage.{n}.rate_gyro = [{{station_m = {station_m}, {GYRO}}}]\n"
     for n, station_m in enumerate((14.5, 6.8, 6.8))
 )
-FIRST = "stages=[1]"  # of petrel; the others fly the design of the row "pd F4"
+FIRST = "stages=[1]"  # for petrel; the other stages fly the design of the row "pd F4"
 WIND = "wind={sigma_mps=10.0, length_v_m=3000.0, band_hz=[0.02, 0.3]}"
 FEW = [FIRST, "nodes_per_stage=7", "search.starts=2", "search.leaps=1"]
 RELIEF = {"ksr3": [WIND, "limits.q_alpha_Padeg=11800"], "petrel": [WIND, "limits.q_alpha_Padeg=50000", *FEW]}
 PLAIN = {"ksr3": [], "petrel": FEW}
 SMALL = ["between_nodes=ignore", "search.starts=2", "search.leaps=1"]
 F2 = ".structure=F2"
-ROWS: dict[str, tuple[list[str], Mapping[str, list[str]]]] = {  # keys of the case: of both vehicles, and of each
+ROWS: dict[str, tuple[list[str], Mapping[str, list[str]]]] = {  # keys of the case: for both vehicles, for each
     "pd F4": ([], {"ksr3": [], "petrel": []}),
     "pid F4": (["law=pid"], {"ksr3": [], "petrel": []}),
     "incidence-relief F4": (["law=incidence-relief"], RELIEF),
@@ -89,8 +89,9 @@ FLOWN_WITH = {  # overrides with which a design is flown
 
 
 def make(vehicle: str, name: str, folder: Path) -> dict[str, Any]:
-    """Make a row: designed (or flown with the additions of `FLOWN_WITH` to the design of "pd F4"), certified and
-    flown.
+    """Design, certify and fly a row. Return its record.
+
+    A row without a case has the design of "pd F4" with the additions of `FLOWN_WITH`.
     """
     base = folder / vehicle
     out = base / _plain(name)
@@ -104,7 +105,7 @@ def make(vehicle: str, name: str, folder: Path) -> dict[str, Any]:
             with (out / "report.txt").open("w") as report, contextlib.redirect_stdout(report):
                 run_case.make(str(base / "sensed.toml"), overrides=tuple(keys), out=str(out), page=False)
         row["said"] = (out / "report.txt").read_text().splitlines()[-1]
-    if vehicle == "petrel" and name == "pd F4":  # the design of the other rows' upper stages
+    if vehicle == "petrel" and name == "pd F4":  # the design of the upper stages in the other rows
         (base / "design.toml").write_bytes(design.read_bytes())
     scenario = "load-relief" if vehicle == "ksr3" else str(base / "sensors.toml")
     changes = [f"design={design}", *FLOWN_WITH.get((vehicle, name), ())]
@@ -123,7 +124,7 @@ def make(vehicle: str, name: str, folder: Path) -> dict[str, Any]:
 def _certified(loaded: LoadedScenario, times_s: list[float], kept: Path) -> dict[str, Any]:
     """Return the content of each operating point's certificate, by time and plane.
 
-    Those in `kept` that agree are not repeated.
+    Certificates in `kept` that agree are not repeated.
     """
     found = json.loads(kept.read_text()) if kept.exists() else {}
     for plane in PLANES:
@@ -169,7 +170,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", default="", help="rows with this word in vehicle or name")
-    parser.add_argument("--write", action="store_true", help="made rows into docs/flights/results.md, for its own")
+    parser.add_argument("--write", action="store_true", help="write the rows into docs/flights/results.md")
     choice = parser.parse_args()
     folder = choice.folder.resolve()
     for vehicle, case in CASES.items():

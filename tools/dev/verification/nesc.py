@@ -1,8 +1,8 @@
 """Fly all NESC check cases and write their largest differences into docs/verification.md:
 `python -m maxq.tools.dev.verification.nesc [--check]`.
 
-The pictures go to docs/pictures/verification. With --check nothing is written. The exit code is 1 if a tolerance is
-missed.
+Pictures are written to docs/pictures/verification. With --check, nothing is written. The exit code is 1 if a tolerance
+is missed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ HEADER = """\
 
 
 def row(case: str, scenario: str, flight: Flight, differences: list[LargestDifference]) -> str:
-    """Return a line of the table: the variable nearest to its tolerance."""
+    """Return a row of the table, with the variable nearest to its tolerance."""
     worst = max(differences, key=lambda d: d.ratio)
     missed = sum(not d.ratio <= 1.0 for d in differences)
     step = flight.scenario.scenario.run.step_s
@@ -39,7 +39,7 @@ def row(case: str, scenario: str, flight: Flight, differences: list[LargestDiffe
 
 
 def insert(table: str, document: Path = DOCUMENT) -> None:
-    """Put the table between its markers. Raises ValueError if they are missing."""
+    """Write the table between its markers. Raises ValueError if they are missing."""
     rewrite(document, "nesc", table)
 
 

@@ -23,7 +23,7 @@ from maxq.tools.dev.verification.nesc_units import in_nesc_units
 DATA = Path(__file__).resolve().parents[3] / "tests" / "data" / "nesc"
 ATMOSPHERIC = ("01", "02", "04", "05", "06", "07", "09")
 
-# exo 6A, per simulation of the reference: the scenario, and the largest permitted distance, m
+# exo 6A, by simulation of the reference: the scenario, and the largest permitted distance, m
 ORBITS_WITH_DRAG = {"B": ("exo-06a", 0.1), "C": ("exo-06a", 0.01), "D": ("exo-06a-no-drag", 0.01)}
 JEOD = {"8A": "exo-08a", "9B": "exo-09b", "10D": "exo-10d"}
 JEOD_TOLERANCES = {"pos": 1e-3, "vel": 1e-6, "w": 1e-10, "T": 1e-7}  # m, m/s, rad/s, direction cosines
@@ -32,7 +32,7 @@ AS_RECORDED = 1e-9  # s
 
 @dataclass(frozen=True)
 class LargestDifference:
-    """The largest difference of one variable from one reference simulation."""
+    """The largest difference of a variable from a reference simulation, and its time."""
 
     case: str
     variable: str
@@ -43,17 +43,17 @@ class LargestDifference:
 
     @property
     def ratio(self) -> float:
-        """Return the difference divided by the tolerance: at most 1 if the case is met."""
+        """Return the difference divided by the tolerance. It is at most 1 if the tolerance is met."""
         return self.largest / self.tolerance
 
 
 def fly_case(scenario: str) -> Flight:
-    """Return the flight of a scenario in scenarios/checkcases, flown with the usual settings."""
+    """Return the flight of a scenario in scenarios/checkcases, flown with its own settings."""
     return fly(load_scenario(f"checkcases/{scenario}"))
 
 
 def read_columns(path: Path) -> dict[str, list[str]]:
-    """Return the columns of a CSV file, gzipped or not, as text."""
+    """Return the columns of a CSV file, which may be compressed by gzip, as text."""
     content = path.read_bytes()
     text = (gzip.decompress(content) if path.suffix == ".gz" else content).decode()
     header, *rows = csv.reader(text.splitlines())
@@ -67,7 +67,7 @@ def read_tolerances() -> list[dict[str, str]]:
 
 @dataclass(frozen=True)
 class ErrorOverTime:
-    """The differences of one variable from one reference, (n,) at `time_s`."""
+    """The differences of a variable from a reference, (n,) at `time_s`."""
 
     variable: str
     reference: str
@@ -81,7 +81,9 @@ class ErrorOverTime:
 
 
 def atmospheric_errors(case: str, flight: Flight) -> list[ErrorOverTime]:
-    """Return differences and strict tolerances at t = 0, 0.1 .. 30 s, for every variable of the table of tolerances."""
+    """Return the differences at t = 0, 0.1 .. 30 s and the strict tolerance of each variable in the table of
+    tolerances.
+    """
     columns = read_columns(DATA / f"nesc-{case}.csv.gz")
     time = np.array(columns["time"], float)
     chosen = _rows_at(flight, time)
@@ -100,12 +102,12 @@ def atmospheric_errors(case: str, flight: Flight) -> list[ErrorOverTime]:
 
 
 def compare_atmospheric(case: str, flight: Flight) -> list[LargestDifference]:
-    """Return the largest of `atmospheric_errors`."""
+    """Return the largest of `atmospheric_errors` for each variable."""
     return [e.largest(case) for e in atmospheric_errors(case, flight)]
 
 
 def orbit_errors(simulation: str, flight: Flight) -> ErrorOverTime:
-    """Return the distance from the position in exo 6A, every 60 s for eight hours, m."""
+    """Return the distance from the position in exo 6A, m, every 60 s for eight hours."""
     columns = read_columns(DATA / "exo-06a.csv.gz")
     time = np.array(columns["time"], float)
     chosen = _rows_at(flight, time)
@@ -120,7 +122,7 @@ def compare_orbit_with_drag(simulation: str, flight: Flight) -> list[LargestDiff
 
 
 def compare_jeod(run: str, flight: Flight) -> list[LargestDifference]:
-    """Compare position, velocity, body rate and attitude at the instants that NASA's JEOD has recorded."""
+    """Return the largest differences of position, velocity, body rate and attitude at the instants of NASA's JEOD."""
     columns = read_columns(DATA / "exo-jeod.csv")
     mine = [i for i, name in enumerate(columns["run"]) if name == run]
     time = np.array(columns["time_s"], float)[mine]
@@ -155,11 +157,11 @@ ALL_CASES: dict[str, tuple[str, Callable[[Flight], list[LargestDifference]]]] = 
     },
     **{f"exo {run}": (scenario, partial(compare_jeod, run)) for run, scenario in JEOD.items()},
 }
-"""The scenario of each case and the comparison that judges its flight."""
+"""The scenario of each case, and the function that compares its flight with the reference."""
 
 
 def _rows_at(flight: Flight, time_s: Array) -> Array:
-    """Return the indices of the rows that the flight has logged at these times. Raises ValueError if one is missing."""
+    """Return the indices of the logged rows of a flight at these times. Raises ValueError if a row is missing."""
     logged = flight.time_s("r_I_x_m")
     rows = np.clip(np.searchsorted(logged, time_s - AS_RECORDED), 0, len(logged) - 1)
     if np.abs(logged[rows] - time_s).max() > AS_RECORDED:
@@ -172,9 +174,7 @@ def _vector(flight: Flight, name: str) -> Array:
 
 
 def _inertial_to_body(q: Array) -> Array:
-    """Return the direction cosines (9, n), row by row, that turn I components into B, from quaternions B to I (4,
-    n).
-    """
+    """Return the direction cosines (9, n), row by row, from I to B, for quaternions from B to I (4, n)."""
     w, x, y, z = q
     return np.stack(
         [

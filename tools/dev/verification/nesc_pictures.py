@@ -1,4 +1,4 @@
-"""Pictures of the NESC check cases in docs/pictures/verification: maxq and NASA, and differences over time."""
+"""The pictures of the NESC check cases in docs/pictures/verification: maxq and NASA, and differences over time."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ SHOWN = {
     "02": ("case 02, body rates", "deg/s", "bodyAngularRateWrtEi_deg_s_", ("Roll", "Pitch", "Yaw")),
     "09": ("case 09, velocity north, east, down", "ft/s", "feVelocity_ft_s_", ("X", "Y", "Z")),
 }
-"""The title, the unit, and the variables' common name with its endings, by case."""
+"""The title, the unit, and the common name of the variables with its endings, by case."""
 
 
 def draw(flights: Mapping[str, Flight]) -> list[Path]:
-    """Draw both pictures. `flights` are given by the name of their scenario."""
+    """Draw both pictures, and return the paths of the files. `flights` are by the name of their scenario."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     return [*histories(flights, PICTURES / "nesc-histories"), *differences(flights, PICTURES / "nesc-differences")]
 
 
 def histories(flights: Mapping[str, Flight], stem: Path) -> list[Path]:
-    """Draw two cases: those of maxq as lines, those of NASA every second as marks."""
+    """Draw two cases, with lines for maxq and marks every second for NASA. Return the paths of the files."""
     figure, places = sheet(1, 2, height_in=2.3)
     for place, (case, (title, unit, name, endings)) in zip(places, SHOWN.items(), strict=True):
         columns, flight = read_columns(DATA / f"nesc-{case}.csv.gz"), flights[f"nesc-{case}"]
@@ -52,7 +52,7 @@ def histories(flights: Mapping[str, Flight], stem: Path) -> list[Path]:
 
 
 def differences(flights: Mapping[str, Flight], stem: Path) -> list[Path]:
-    """Return the largest difference over its tolerance at each time, and the distance in orbit."""
+    """Draw the largest difference / tolerance over time, and the distance in orbit. Return the paths of the files."""
     figure, places = sheet(1, 2, height_in=2.3)
     for case in ATMOSPHERIC:
         every = atmospheric_errors(case, flights[f"nesc-{case}"])

@@ -41,7 +41,9 @@ for _axis, _ned, _letter, _turn in zip("XYZ", ("north", "east", "down"), "LMN", 
 
 
 def in_nesc_units(flight: Flight, variable: str) -> Array:
-    """Return a variable of the NESC time histories from channels. Raises KeyError for an unknown one."""
+    """Return a variable of the NESC time histories from the channels of a flight. Raises KeyError for an unknown
+    variable.
+    """
     if variable == "localGravity_ft_s2":
         return _downward_gravitation_mps2(flight) / FOOT_m
     channel, unit = _CHANNELS[variable]
@@ -49,9 +51,9 @@ def in_nesc_units(flight: Flight, variable: str) -> Array:
 
 
 def _downward_gravitation_mps2(flight: Flight) -> Array:
-    """Return the component of the gravitation along the geodetic normal, without the centrifugal part."""
+    """Return the downward component of the gravitation along the geodetic normal, without the centrifugal part."""
     latitude = np.radians(flight["latitude_deg"])
-    # the meridian's azimuth in I: altitude and latitude are independent of the Earth's rotation
+    # azimuth of the meridian in I: altitude and latitude do not depend on the Earth's rotation
     azimuth = np.arctan2(flight["r_I_y_m"], flight["r_I_x_m"])
     up = (np.cos(latitude) * np.cos(azimuth), np.cos(latitude) * np.sin(azimuth), np.sin(latitude))
     pull = [flight[f"gravitation_I_{axis}_mps2"] for axis in "xyz"]

@@ -1,5 +1,7 @@
 """Plant every fault, run the certificate, and write the table of docs/verification.md:
-`python -m maxq.tools.dev.verification.planted`. The exit code is 1 where a fault is missed.
+`python -m maxq.tools.dev.verification.planted`.
+
+The exit code is 1 if a fault is missed, or if a loop without a fault disagrees.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ TIME_S = 40.0
 
 
 def row(fault: PlantedFault, found: NodeCertificate) -> str:
-    """Return a row of the table."""
+    """Return the row of the table for a fault."""
     r = found.responses
     off = [f"{e.what} {e.difference:+.3g} {e.unit}" for e in found.margins if not e.agrees]
     clean = np.isfinite(r.unrounded_db)
@@ -33,7 +35,7 @@ def row(fault: PlantedFault, found: NodeCertificate) -> str:
 
 
 def main() -> int:
-    """Rewrite the table; return 1 if a fault was missed, or if a loop without a fault disagrees."""
+    """Rewrite the table. Return 1 if a fault was missed, or if a loop without a fault disagrees."""
     loaded = load_scenario("nominal")
     node = operating_points.nodes(loaded, [TIME_S])[0]
     sound = certify_node(loaded, node, fault=lambda packed: None)

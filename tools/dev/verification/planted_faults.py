@@ -1,10 +1,10 @@
-"""The faults that are planted in the simulator to test that the margin certificate finds them.
+"""The faults that are planted in the simulator, to test that the margin certificate finds them.
 
-Each fault alters the packed flight: the table of the vehicle, the records of its components, the computer. Nothing is
-compiled again, and the linear model is unchanged. A fault is found if a line of the frequency response or a measured
-margin differs by more than allowed without an explanation.
+Each fault alters the packed flight: the table of the vehicle, the records of its components, or the computer. Nothing
+is compiled again, and the linear model is unchanged. A fault is found if a line of the frequency response or a measured
+margin differs by more than the tolerance without an explanation.
 
-Faults with a size are small. Signs and exchanged numbers have no size.
+Faults with a magnitude are small. Signs and exchanged numbers have no magnitude.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ class PlantedFault:
 
 
 def _columns(packed: Packed, columns: slice | list[int], factor: float = 1.0, shift: float = 0.0) -> None:
-    """Multiply columns of the vehicle's table by `factor`, and add `shift`."""
+    """Multiply columns of the vehicle's table by `factor`, then add `shift`."""
     table = table_in(packed.pool, packed.parameters[0].vehicle.schedule).coefficients
     table[:, :, columns] *= factor
     table[:, 0, columns] += shift
 
 
 def _mode(row: int, modes: slice, factor: float) -> PackedChange:
-    """Multiply a row of the pitch modes by a factor."""
+    """Return a fault that multiplies a row of the pitch modes by `factor`."""
 
     def plant(packed: Packed) -> None:
         first = schedule.mode_column(packed.parameters[0].vehicle.sizes, PITCH, row)
@@ -50,7 +50,7 @@ def _mode(row: int, modes: slice, factor: float) -> PackedChange:
 
 
 def _mode_at(kind: str, index: int, factor: float) -> PackedChange:
-    """Multiply the shapes of all modes at a tank or a surface by a factor."""
+    """Return a fault that multiplies the pitch shapes at a tank, or the shapes or slopes at a surface, by `factor`."""
 
     def plant(packed: Packed) -> None:
         sizes = packed.parameters[0].vehicle.sizes
@@ -67,7 +67,7 @@ def _column(column: int, factor: float = 1.0, shift: float = 0.0) -> PackedChang
 
 
 def _tank(column: int, factor: float = 1.0, shift: float = 0.0) -> PackedChange:
-    """Change a column of every tank."""
+    """Return a fault that multiplies a column of every tank by `factor`, then adds `shift`."""
 
     def plant(packed: Packed) -> None:
         for k in range(int(packed.parameters[0].vehicle.sizes.pendulums)):
@@ -77,7 +77,7 @@ def _tank(column: int, factor: float = 1.0, shift: float = 0.0) -> PackedChange:
 
 
 def _set(path: str, change: Callable[[Any], Any]) -> PackedChange:
-    """Replace a number of the record `parameters[0]`, given by its path, by `change` of it."""
+    """Return a fault that applies `change` to a number of the record `parameters[0]`, given by its path."""
 
     def plant(packed: Packed) -> None:
         *way, last = path.split(".")
@@ -129,7 +129,7 @@ def _one_sample_late(packed: Packed) -> None:
 
 
 def _without_prewarping(packed: Packed) -> None:
-    """Discretise each section by the bilinear transform without prewarping, which shifts frequencies at 9.2 Hz."""
+    """Discretise each section again without the prewarping at 9.2 Hz, so that its frequencies shift."""
     warp_hz, period_s = 9.2, 1e-9 * float(packed.parameters[0].computer.sample_ns)
     right = np.pi * warp_hz / np.tan(np.pi * warp_hz * period_s)
     wrong = 1.0 / period_s
@@ -140,8 +140,9 @@ def _without_prewarping(packed: Packed) -> None:
 
 
 def _to_continuous(z: Array, c: float) -> Array:
-    """Return the coefficients in s of a polynomial in 1/z under s = 2c (z - 1) / (z + 1), c for 1/T, without the common
-    factor.
+    """Return the coefficients in s of a polynomial in 1/z, without the common factor.
+
+    The substitution is s = 2 c (z - 1) / (z + 1), with c = 1/T without prewarping.
     """
     b0, b1, b2 = z
     return np.array([b0 - b1 + b2, 4.0 * c * (b0 - b2), 4.0 * c * c * (b0 + b1 + b2)])
@@ -154,7 +155,7 @@ def _to_discrete(s: Array, c: float) -> Array:
 
 
 def _gains(rows: Callable[[Array], Array]) -> PackedChange:
-    """Replace the gain table's columns (k_p pitch, k_d pitch, k_p yaw, k_d yaw) by `rows` of them."""
+    """Return a fault that applies `rows` to the columns of the gain table: k_p pitch, k_d pitch, k_p yaw, k_d yaw."""
 
     def plant(packed: Packed) -> None:
         table = table_in(packed.pool, packed.parameters[0].computer.law.pd.gains).coefficients
@@ -164,7 +165,7 @@ def _gains(rows: Callable[[Array], Array]) -> PackedChange:
 
 
 def _aero_moment_sign(packed: Packed) -> None:
-    """Mirror the centre of pressure at the CG."""
+    """Reflect the centre of pressure of every surface about the CG."""
     row = packed.parameters[0]
     of_vehicle, surfaces = table_in(packed.pool, row.vehicle.schedule), int(row.vehicle.sizes.surfaces)
     breaks = of_vehicle.breaks

@@ -1,7 +1,7 @@
-"""Measure how often the bounds of `simrun rare` cover: `python -m maxq.tools.dev.verification.rare_bounds` writes the
-table of docs/verdicts.md (some minutes).
+"""Measure how often the bounds of `simrun rare` cover the true probability:
+`python -m maxq.tools.dev.verification.rare_bounds` writes the table of docs/verdicts.md (some minutes).
 
-The limit states have a known probability of failure. A bound that is not given (undecided) is counted as a cover.
+The limit states have a known probability of failure. A bound that is not given (undecided) is counted as covering.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from maxq.sim.campaign.rare import SHARE_OF_FLIGHTS, Rare, subset_simulation
 from maxq.tools.dev.verification.section import DOCS, rewrite
 
 CONFIDENCE = 0.9
-POPULATION = round(10_000 * SHARE_OF_FLIGHTS)  # of `simrun rare` by default
-_NOISES = 2.0**62  # noise numbers are uniform integers below it
+POPULATION = round(10_000 * SHARE_OF_FLIGHTS)  # the default of `simrun rare`
+_NOISES = 2.0**62  # noise numbers are uniform integers below this number
 
 
 class LimitState(NamedTuple):
-    """A limit state of `scores` standard normal numbers and noise. It fails above 0, with `probability`."""
+    """A limit state of `scores` standard normal numbers and noise. It fails if `value` > 0, with `probability`."""
 
     scores: int
     probability: float
@@ -32,38 +32,38 @@ class LimitState(NamedTuple):
 
 
 def above(p: float) -> float:
-    """Return the number that a standard normal one exceeds with probability p."""
+    """Return the number that a standard normal number exceeds with probability p."""
     return float(-ndtri(p))
 
 
 def plane(p: float, scores: int) -> LimitState:
-    """Return a hyperplane at equal angles to all axes."""
+    """Return a limit state whose limit is a hyperplane at equal angles to all axes."""
     return LimitState(scores, p, lambda z, _: z.sum(axis=1) / math.sqrt(scores) - above(p))
 
 
 def sphere(radius: float, scores: int) -> LimitState:
-    """Return the outside of a sphere."""
+    """Return a limit state that fails outside a sphere."""
     return LimitState(scores, float(chdtrc(scores, radius**2)), lambda z, _: np.linalg.norm(z, axis=1) - radius)
 
 
 def two_ways(sigmas: float) -> LimitState:
-    """Return two opposite hyperplanes."""
+    """Return a limit state that fails beyond either of two opposite hyperplanes."""
     return LimitState(4, 2.0 * float(ndtr(-sigmas)), lambda z, _: np.abs(z[:, 1]) - sigmas)
 
 
 def discrete(p: float) -> LimitState:
-    """Return a failure without an approach: the value is -1 or 1."""
+    """Return a limit state that fails without an approach: its value is -1 or 1."""
     return LimitState(5, p, lambda z, _: np.where(z[:, 0] > above(p), 1.0, -1.0))
 
 
 def cliff(smooth: float, sudden: float) -> LimitState:
-    """Return a smooth approach to a rare failure next to a sudden one that is less rare."""
+    """Return a limit state with a smooth approach to a rare failure, and a sudden failure that is less rare."""
     p = smooth + sudden - smooth * sudden
     return LimitState(5, p, lambda z, _: np.where(z[:, 1] > above(sudden), 1.0, z[:, 0] - above(smooth)))
 
 
 def noisy(share: float, p: float) -> LimitState:
-    """Return a hyperplane whose value contains noise with the given share of the standard deviation."""
+    """Return a limit state with a hyperplane, in whose value noise has the given share of the standard deviation."""
 
     def value(z: Array, noise: IntArray) -> Array:
         return np.asarray(math.sqrt(1.0 - share**2) * z[:, 0] + share * ndtri((noise + 0.5) / _NOISES) - above(p))
@@ -72,7 +72,9 @@ def noisy(share: float, p: float) -> LimitState:
 
 
 def decoy(p: float) -> LimitState:
-    """Return a value that rises towards a saturation short of the limit, with the failure in another direction."""
+    """Return a limit state whose value rises towards a saturation below the limit, and which fails in another
+    direction.
+    """
     return LimitState(
         5, p, lambda z, _: np.maximum(np.minimum(z[:, 0], 2.0) - 2.5, np.where(z[:, 1] > above(p), 1.0, -9.0))
     )
@@ -97,7 +99,7 @@ STATES |= {f"saturating decoy, {p:.0e}": decoy(p) for p in (1e-4, 1e-5)}
 
 
 def row(name: str, repetitions: int) -> str:
-    """Return the row of a limit state."""
+    """Return the row of the table for a limit state."""
     state = STATES[name]
     found: list[Rare] = []
     for seed in range(repetitions):
@@ -114,9 +116,9 @@ def row(name: str, repetitions: int) -> str:
 
 
 def main() -> None:
-    """Write the table."""
+    """Measure the coverage and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repetitions", type=int, default=200, help="of each limit state, with other draws each")
+    parser.add_argument("--repetitions", type=int, default=200, help="repetitions of each limit state")
     repetitions = parser.parse_args().repetitions
     head = "| limit state | probability | undecided | upper bound covers | lower covers | median / true | flights |"
     rewrite(DOCS / "verdicts.md", "rare", "\n".join([head, "|---" * 7 + "|", *(row(n, repetitions) for n in STATES)]))

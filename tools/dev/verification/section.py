@@ -14,7 +14,7 @@ def markers(name: str) -> tuple[str, str]:
 
 
 def rewrite(document: Path, name: str, table: str) -> None:
-    """Put a table between its markers. Raises ValueError if they are missing."""
+    """Write a table between its markers. Raises ValueError if they are missing."""
     begin, end = markers(name)
     text = document.read_text()
     before, found, rest = text.partition(begin)

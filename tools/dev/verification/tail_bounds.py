@@ -1,8 +1,8 @@
-"""Measure how often tails are withheld, and how often the bounds of the others cover: `python -m
-maxq.tools.dev.verification.tail_bounds` writes the table of docs/verdicts.md (some minutes).
+"""Measure how often tails are withheld, and how often the bounds of the others cover the true value:
+`python -m maxq.tools.dev.verification.tail_bounds` writes the table of docs/verdicts.md (some minutes).
 
-A row is a distribution with a known quantile, of which `RUNS` values are drawn again and again. Mixtures are normal
-numbers with a share of runs of a second mechanism, whose values are those of another normal distribution.
+A row is a distribution with a known quantile, from which `RUNS` values are drawn repeatedly. A mixture consists of
+normal numbers and a share of runs with a second mechanism, whose values have another normal distribution.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ RUNS, SUCCESS, CONFIDENCE, RARE = 1000, 0.9973, 0.9, 1e-4
 
 
 class KnownLaw(NamedTuple):
-    """A distribution: its draws, and the value that a flight exceeds with a probability."""
+    """A distribution: a function that draws values, and the value that a flight exceeds with a given probability."""
 
     draw: Callable[[np.random.Generator], Array]
     exceeded: Callable[[float], float]
@@ -35,7 +35,7 @@ def single(law: Any) -> KnownLaw:
 
 
 def mixture(share: float, sigmas: float, sigma: float = 1.0) -> KnownLaw:
-    """Return normal numbers, of which a share comes from a mechanism at `sigmas` with its own standard deviation."""
+    """Return normal numbers, a share of which comes from a mechanism at `sigmas` with its own standard deviation."""
     second = stats.norm(sigmas, sigma)
 
     def draw(rng: np.random.Generator) -> Array:
@@ -62,7 +62,7 @@ LAWS = {
 
 
 def row(name: str, repetitions: int) -> str:
-    """Return the row of a distribution."""
+    """Return the row of the table for a distribution."""
     law = LAWS[name]
     quantile, limit = law.exceeded(1.0 - SUCCESS), law.exceeded(RARE)
     found = []
@@ -78,9 +78,9 @@ def row(name: str, repetitions: int) -> str:
 
 
 def main() -> None:
-    """Write the table."""
+    """Measure the coverage and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repetitions", type=int, default=60, help="of each distribution")
+    parser.add_argument("--repetitions", type=int, default=60, help="repetitions of each distribution")
     repetitions = parser.parse_args().repetitions
     head = "| distribution | withheld | quantile bound covers | probability bound covers "
     head += "| wrong quantile bounds of all | wrong probability bounds of all |"
