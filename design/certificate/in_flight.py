@@ -6,8 +6,9 @@ the operating point, least squares estimate the lines of a multisine together wi
 only lines of half a hertz and more can be resolved.
 
 The response differs from that of the held flight for two reasons, which the linear loop accounts for. First, the
-vehicle changes during the window; the sampled loop at operating points across the window gives the change. Second,
-gravity is the real one, which affects the lowest lines only.
+vehicle changes during the window; the sampled loop at operating points across the window gives the change. Where that
+does not explain a line, the loop is advanced along the ascent (time_varying.py). Second, gravity is the real one, which
+affects the lowest lines only.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ from maxq.design import operating_points
 from maxq.design.certificate.excitation import SHARE_OF_BURST, gimbal_injection
 from maxq.design.certificate.held_flight import fast_rows, with_ideal_converters
 from maxq.design.certificate.response import NOISE, NOISE_SIGMAS, UNEXPLAINED, decibels, degrees
+from maxq.design.certificate.time_varying import output_along
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
-from maxq.design.loop.loop import loops
+from maxq.design.loop.loop import Loop, loops
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node, with_swings
 from maxq.design.model.powered import Span, powered_spans, spans_of
@@ -40,6 +42,8 @@ WINDOW_S = 8.0
 SETTLE_S = 2.5  # after liftoff
 ACROSS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # of a window: points of the linear loop
 LINES_HZ = tuple(n / WINDOW_S for n in (4, 7, 11, 18, 29, 46, 62, 74, 90))  # 0.5 .. 11 Hz
+SPACING_S = 0.5  # of operating points between which the loop along the ascent is linear in time
+TIME_CONSTANTS = 5.0  # for which it is advanced before a window: what is left of its start is 0.7 %
 COMMAND_DEG = 0.35  # upper bound of each line; fewer than half of any limit together
 WITHIN_DB, WITHIN_DEG = 0.5, 4.0
 TIME_VARIATION, SETTLING = "time variation", "settling"
@@ -52,7 +56,8 @@ class InFlightResponse:
 
     `reason` is "" if the two agree to 0.5 dB and 4 deg. Otherwise it is one of:
 
-    - "time variation": the loop's own change in the window is as large as the difference.
+    - "time variation": the loop's own change in the window is as large as the difference, or the loop that is advanced
+      along the ascent gives the measured response to 0.5 dB and 4 deg.
     - "converter noise": this change and the standard errors together explain the difference, or flights with ideal
       converters leave no difference.
     - "settling": an oscillation near a line has not decayed since liftoff.
@@ -157,15 +162,20 @@ def _of_stage(
     windows = [_window(t, spans) for t in times_s]
     across = [tuple(t + share * (w[1] - w[0]) for share in ACROSS) for t, w in zip(times_s, windows, strict=True)]
     begun_s = [next(span.begin_s for span in spans if span.holds(t)) for t in times_s]
-    nodes = operating_points.nodes(loaded, [x for each in across for x in each], plane=plane)
     excited_by = loaded.scenario.model_copy(update={"injection": (signal,)})  # sets the waves of rings
-    nodes = with_swings(nodes, dataclasses.replace(loaded, scenario=excited_by))
+
+    def excited_nodes(at_s: Sequence[float]) -> list[Node]:
+        nodes = operating_points.nodes(loaded, at_s, plane=plane)
+        return with_swings(nodes, dataclasses.replace(loaded, scenario=excited_by))
+
+    nodes = excited_nodes([x for each in across for x in each])
+    sents = excited.command[1:] - quiet.command[1:]  # shows after its tick
+    backs = (excited.filtered - quiet.filtered)[: len(sents)]
+    injected = sents - backs
     out = []
     for k, (time_s, (begin, end)) in enumerate(zip(times_s, windows, strict=True)):
         first, last = round(begin / sample_s), round(end / sample_s)
-        back = excited.filtered[first:last] - quiet.filtered[first:last]
-        sent = excited.command[first + 1 : last + 1] - quiet.command[first + 1 : last + 1]  # shows after its tick
-        (u, u_noise), (e, _) = (_at_lines(x, lines, sample_s) for x in (back, sent))
+        (u, u_noise), (e, _) = (_at_lines(x[first:last], lines, sample_s) for x in (backs, sents))
         mine = loops_at(nodes[k * len(ACROSS) : (k + 1) * len(ACROSS)])
         responses = np.stack([loop.response(lines) for loop in mine])
         frozen = responses[len(mine) // 2]
@@ -179,6 +189,17 @@ def _of_stage(
             _reason(complex(measured[i] / frozen[i]), float(error[i]), float(spread[i]), float(turn[i]), near[i])
             for i in range(len(lines))
         )
+        if UNEXPLAINED in reasons and all(isinstance(loop, Loop) for loop in mine):
+            slowest = min((-p.real for p in poles if lines[0] < p.imag / (2.0 * math.pi) < lines[-1]), default=1.0)
+            start = max(begin - TIME_CONSTANTS / max(slowest, 1e-3), begun_s[k] + SETTLE_S)
+            at_s = np.linspace(start, end, math.ceil((end - start) / SPACING_S) + 1)
+            moving = loops_at(excited_nodes(at_s.tolist()))
+            along = output_along(
+                [loop for loop in moving if isinstance(loop, Loop)], at_s, injected[:last], round(start / sample_s)
+            )
+            if along is not None:
+                (u, _), (e, _) = (_at_lines(x[first:], lines, sample_s) for x in (along, along + injected[:last]))
+                reasons = variation_share(reasons, measured / (-u / e))
         out.append(InFlightResponse(time_s, plane, lines, frozen, measured, error, reasons))
     unexplained = [k for k, found in enumerate(out) if UNEXPLAINED in found.reason]
     if unexplained and loaded.scenario.switches.converter == "full":
@@ -186,6 +207,13 @@ def _of_stage(
         for k, fine in zip(unexplained, again, strict=True):
             out[k] = dataclasses.replace(out[k], reason=converters_share(out[k].reason, fine.reason))
     return out
+
+
+def variation_share(reasons: Sequence[str], ratios: ComplexArray) -> tuple[str, ...]:
+    """Return the reasons of lines, given the ratios of the measured response to that of the loop along the ascent."""
+    agree = (np.abs(decibels(ratios)) <= WITHIN_DB) & (np.abs(degrees(ratios)) <= WITHIN_DEG)
+    of_lines = zip(reasons, agree, strict=True)
+    return tuple(TIME_VARIATION if reason == UNEXPLAINED and near else reason for reason, near in of_lines)
 
 
 def converters_share(reasons: Sequence[str], fine: Sequence[str]) -> tuple[str, ...]:

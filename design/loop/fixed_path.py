@@ -151,9 +151,11 @@ class FixedPath(abc.ABC):
             return integrator ** (1 + ANGLES.index(measurement))
         return np.full(f.shape, 1.0 if self.takes_rate else 0.0, np.complex128)
 
-    def measured(self, measurements: tuple[str, ...]) -> StateSpace:
+    def measured(self, measurements: tuple[str, ...], *, states_of_sums: bool = False) -> StateSpace:
         """Return the system from gimbal command to measurements, with the integrators of the angle, in z for a sampled
         path.
+
+        An integral that is a combination of the path's states adds no state, unless `states_of_sums` is True.
         """
         path, period = self.state_space(), self.sample_s
         system = _Summed(
@@ -163,12 +165,12 @@ class FixedPath(abc.ABC):
         if not self.takes_rate:
             system.rows["rate_radps"] = 0.0 * path.c[0]
         if set(measurements) & {*ANGLES, *DRIFTS}:
-            states += system.add("angle_rad", path.c[0], known=self.rests_at_dc)
+            states += system.add("angle_rad", path.c[0], known=self.rests_at_dc and not states_of_sums)
         if set(measurements) & set(DRIFTS):
             if ACCELERATION not in system.rows:
                 self.ratio(DRIFTS[0], 1.0)  # raises the error
             across = system.rows[ACCELERATION] - self.node.axial_load_mps2 * system.rows["angle_rad"]
-            states += system.add(DRIFTS[0], across, known=self.drift_rests_at_dc)
+            states += system.add(DRIFTS[0], across, known=self.drift_rests_at_dc and not states_of_sums)
         # integrals that are states come last: with their poles at zero, a known integral would not be unique
         if ANGLES[1] in measurements:
             states += system.add(ANGLES[1], system.rows["angle_rad"])

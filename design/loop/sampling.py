@@ -37,6 +37,7 @@ class SampledPlant:
     psi: Array  # (outputs, n)
     rate_late: Array  # (outputs, inputs)
     rate_early: Array
+    scale: Array  # (n,): powers of two; a state times its scale is that of the continuous plant
 
     def state_space(self) -> StateSpace:
         """Return the state space in z: the plant's states, the pending commands, and the mean rates as they are
@@ -87,7 +88,9 @@ def sample(plant: StateSpace, sample_s: float, delay_s: float) -> SampledPlant:
     if not (sample_s > 0.0 and 0.0 <= delay_s < math.inf):
         raise ValueError(f"sample_s = {sample_s}, delay_s = {delay_s}: allowed are a period above 0, a delay from 0")
     n, inputs, outputs = len(plant.states), len(plant.inputs), len(plant.outputs)
-    a, (scale, _) = scipy.linalg.matrix_balance(plant.a, permute=False, separate=True) if n else (plant.a, (1.0, None))
+    a, (scale, _) = (
+        scipy.linalg.matrix_balance(plant.a, permute=False, separate=True) if n else (plant.a, (np.ones(0), None))
+    )
     whole = int(delay_s / sample_s * (1.0 + 1e-12))
     rest = delay_s - whole * sample_s
     rest = 0.0 if rest < 1e-9 * sample_s else rest
@@ -109,6 +112,7 @@ def sample(plant: StateSpace, sample_s: float, delay_s: float) -> SampledPlant:
         psi=np.asarray(free[n:, :n]),
         rate_late=np.asarray(late[n:]),
         rate_early=np.asarray(early[n:]),
+        scale=np.asarray(scale, float),
     )
 
 
