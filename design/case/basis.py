@@ -145,10 +145,10 @@ class DispersedLimits(MarginLimits):
 class Robust(Spread):
     """The dispersed plants for which the design must meet its limits. Half ranges are relative unless a unit is given.
 
-    Every mode and every tank deviates independently. The defaults are 3-sigma ranges after a modal survey: 5, 10 and 15
-    % for frequencies of bending modes, and 20 % for slopes. The plants are corners at which all parameters deviate
-    simultaneously: n deviations of one sigma each have a distance of sqrt(n) sigma. If parameters are correlated, the
-    corners are those of the underlying independent scores and are equally probable.
+    Every mode and every tank deviates independently. The defaults are 3-sigma ranges after a modal survey: 0.05, 0.10
+    and 0.15 for the frequencies of bending modes, and 0.20 for their slopes. The plants are corners at which all
+    parameters deviate simultaneously: n deviations of one sigma each have a distance of sqrt(n) sigma. If parameters
+    are correlated, the corners are those of the underlying independent scores and are equally probable.
     """
 
     where: ClassVar[tuple[str, str]] = ("case", "robust")

@@ -137,7 +137,7 @@ class CaseFilter(FilterSections):
 
 
 class CaseLoopFilters(Section):
-    """The filters of the inputs of the law, by loop, with the bounds and the prewarping of [filter]."""
+    """The filters of the law's inputs, one for each loop, with the bounds and the prewarping of [filter]."""
 
     attitude: FilterSections | None = optional("filter of the attitude error")
     rate: FilterSections | None = optional("filter of the (blended) rate")

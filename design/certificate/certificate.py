@@ -31,12 +31,11 @@ HELD_GRAVITY = "frozen-point gravity"
 
 @dataclass(frozen=True)
 class MarginRow:
-    """A margin in `unit`, from three sources: linear loop at the flown instant, linear loop of the held flight,
-    measurement.
+    """A margin of the linear loop, at the flown instant and in the held flight, and its measurement.
 
-    `pade` and `sampled` are those of the continuous and the sampled loop at the flown instant. `held` is that of the
-    linear loop of the held flight, and `measured` that of the held flight itself. `reason` is "" if flight and linear
-    loop agree. Any other text states the fault, except for these:
+    `unit` is the unit of all values. `pade` and `sampled` are those of the continuous and the sampled loop at the flown
+    instant. `held` is that of the linear loop of the held flight, and `measured` that of the held flight itself.
+    `reason` is "" if flight and linear loop agree. Any other text states the fault, except for these:
 
     - "frozen-point gravity": they agree, but the margin at the flown instant differs. The slowest root is affected by
       the axial load in the held flight, and by gravity in the ascent.

@@ -71,8 +71,9 @@ class LineBand:
 
     @property
     def duration_s(self) -> float:
-        """Return the duration (s), with a margin of one second because the last command takes effect after the last
-        sample.
+        """Return the duration (s).
+
+        It includes a margin of one second, because the last command takes effect after the last sample.
         """
         return self.settle_s + self.period_s * self.periods + 1.0
 

@@ -139,8 +139,9 @@ class HeldFlight:
 
 
 class CodeDiffers(Exception):
-    """An error for flight code that returns other commands for the inputs of its own flight. The message states the
-    time.
+    """An error for flight code that returns other commands for the inputs of its own flight.
+
+    The message states the time.
     """
 
 
@@ -281,9 +282,7 @@ def _step_s(scenario: Scenario, node: Node) -> float:
 
 
 def linear_limits(held: HeldFlight) -> tuple[float, float]:
-    """Return the gimbal command (rad) and the commanded servo rate (rad/s) up to which actuator and computer are
-    linear.
-    """
+    """Return the gimbal command (rad) and the servo rate (rad/s) up to which actuator and computer are linear."""
     actuator, computer = held.node.instruments.actuator, held.loaded.scenario.vehicle.computer_of(0)
     command = math.inf if computer is None else math.radians(computer.command_limit_deg)
     if actuator.ideal:

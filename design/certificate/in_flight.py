@@ -47,10 +47,10 @@ TIME_VARIATION, SETTLING = "time variation", "settling"
 
 @dataclass(frozen=True)
 class InFlightResponse:
-    """The response L at lines (Hz), measured in the ascent around `time_s`, and `frozen`, the sampled loop at that
-    instant.
+    """The response L at lines (Hz), measured in the ascent around `time_s`.
 
-    `reason` is "" if both agree to 0.5 dB and 4 deg. Otherwise it is one of:
+    `frozen` is the sampled loop at that instant. `reason` is "" if both agree to 0.5 dB and 4 deg. Otherwise it is one
+    of:
 
     - "time variation": the loop's own change in the window is as large as the difference.
     - "converter noise": this change and the standard errors together explain the difference, or the difference vanishes

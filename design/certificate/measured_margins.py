@@ -83,12 +83,12 @@ class BurstTest:
 
 
 def burst_test(frequency_hz: float, build_up_1ps: float = 0.0) -> BurstTest:
-    """Return a burst of at least three periods, with a waiting time of six and an observation time of 25 s and 24
-    periods.
+    """Return a burst at a frequency, with the waiting and observation times after it.
 
-    Below LOWEST_BURST_HZ, where periods are long, waiting and observation are a third of these. For a real root, the
-    burst is a step of 8 s, followed by 160 s. `build_up_1ps` is the rate at which a burst builds up at the stability
-    boundary (`build_up_rate`).
+    The burst lasts at least three periods, the waiting time six periods, and the observation at least 25 s and 24
+    periods. Below LOWEST_BURST_HZ, where periods are long, waiting and observation are a third of these. For a real
+    root, the burst is a step of 8 s, followed by 160 s. `build_up_1ps` is the rate at which a burst builds up at the
+    stability boundary (`build_up_rate`).
     """
     if frequency_hz < SLOWEST_HZ:
         return BurstTest(0.0, 8.0, 40.0, 120.0, 40.0 / 3.0)  # a window contains whole periods of the dither tones

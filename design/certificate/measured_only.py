@@ -119,8 +119,9 @@ class MeasuredNode:
 
     @property
     def phase_deg(self) -> float:
-        """Return the least phase margin (deg) at crossings of |L| = 1 between adjacent lines, or infinity without a
-        crossing.
+        """Return the least phase margin (deg) at crossings of |L| = 1 between adjacent lines.
+
+        It is infinite without a crossing.
         """
         size = np.log(np.abs(self.response))
         turn = np.unwrap(np.angle(self.response))

@@ -66,8 +66,7 @@ class MeasuredResponse:
 
 
 def measure(held: HeldFlight, band: LineBand, level: ExcitationLevel, closed_poles: ComplexArray) -> MeasuredResponse:
-    """Fly with the signal injected at the gimbal command, and return the response from filter output and gimbal
-    command.
+    """Fly with the signal injected at the gimbal command, and return the measured response.
 
     L = -U / E, where U is the output of the bending filter, and E = U + injected, after limits and quantisation. E is
     the command that the actuator receives, so that limits and the output converter do not bias L. `closed_poles`
@@ -243,12 +242,11 @@ def measured_response(
 
 @dataclass(frozen=True)
 class RingLine:
-    """The response L at the frequency of a pendulum with ring baffles that follow their law, and that of the linear
-    loop.
+    """The response L at the frequency of a pendulum with ring baffles, measured and linear.
 
-    The excitation is a sine. `linear` has the damping of the rings at the flown swing (rad, of each pendulum).
-    `difference_db` and `difference_deg` are the measured minus the linear response. `rings_db` is the effect of the
-    rings at this frequency: `linear` minus the same loop without rings.
+    In the measurement, the rings follow their law. The excitation is a sine. `linear` has the damping of the rings at
+    the flown swing (rad, of each pendulum). `difference_db` and `difference_deg` are the measured minus the linear
+    response. `rings_db` is the effect of the rings at this frequency: `linear` minus the same loop without rings.
     """
 
     line_hz: float

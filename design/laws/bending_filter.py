@@ -1,5 +1,4 @@
-"""The bending filter (paper, eqs 37 to 41): its state space, its poles, and its representation as a vector of
-variables.
+"""The bending filter (paper, eqs 37 to 41): state space, poles, and representation as a vector of variables.
 
 Each quadratic section has the variables ln(zero_hz), zero_zeta, ln(pole_hz), pole_zeta. The first-order sections follow
 with ln(zero_hz), ln(pole_hz) each. The gain ln|F(j inf)| is linear in these variables. A step of given size in a
@@ -98,8 +97,9 @@ def filter_poles(filter_: AnyFilter) -> ComplexArray:
 
 @dataclass(frozen=True)
 class FilterVariables:
-    """The layout of the vector of variables: `quadratic` sections of four variables, then `first_order` sections of
-    two.
+    """The layout of the vector of variables.
+
+    `quadratic` sections of four variables precede `first_order` sections of two.
     """
 
     quadratic: int
@@ -116,8 +116,7 @@ class FilterVariables:
         return (*out, *(f"first_order[{i}].{key}" for i in range(self.first_order) for key in ("zero_hz", "pole_hz")))
 
     def _coefficients(self, y: Array) -> tuple[Array, Array, Array]:
-        """Return the coefficients n1 and n2 of every polynomial 1 + n1 s + n2 s^2, (..., polynomials), and the sign of
-        each.
+        """Return the coefficients n1 and n2 and the sign of every polynomial 1 + n1 s + n2 s^2, (..., polynomials).
 
         Quadratic sections come first. The sign is +1 for zeros and -1 for poles. `y` has the shape (..., size).
         """
@@ -272,11 +271,10 @@ class FilterNodes:
         return out.reshape(len(self.weights), n, m * n)
 
     def curvature(self, y: Array, slopes: Array) -> Array:
-        """Return the weighted sum of the second derivatives of all plants' filter variables with respect to `y`, (size,
-        size).
+        """Return the weighted sum of the second derivatives of the filter variables by `y`, (size, size).
 
-        The weights are `slopes` (plants, layout.size). The second derivative of the logarithm of a weighted sum of
-        exponentials is diag(share) - share share'.
+        The sum covers all plants. The weights are `slopes` (plants, layout.size). The second derivative of the
+        logarithm of a weighted sum of exponentials is diag(share) - share share'.
         """
         n, m = self.layout.size, len(self.nodes)
         out = np.zeros((m, n, m, n))
@@ -350,10 +348,10 @@ class Lag:
         return np.asarray(gain / rest), first, first * (1.0 - u - 2.0 * u * left / rest)
 
     def change_with_slopes(self, x: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Return the response of lag and differentiation in series, 1/s, and its first and second derivatives with
-        respect to x.
+        """Return the response of lag and differentiation in series, 1/s, and its two derivatives.
 
-        Differentiation multiplies by s, or by (1 - 1/z) / T in a sampled loop.
+        The derivatives are the first and second with respect to x = ln f. Differentiation multiplies by s, or by (1 -
+        1/z) / T in a sampled loop.
         """
         (h, h1, h2), s = self.with_slopes(x), np.asarray(2j * np.pi * np.exp(x), np.complex128)
         parts: list[ComplexArray] = [s, s, s]
@@ -364,8 +362,9 @@ class Lag:
         return h * d, h1 * d + h * d1, h2 * d + 2.0 * h1 * d1 + h * d2
 
     def with_change(self, direct: float, change: float) -> StateSpace:
-        """Return the state space of direct + change * (lag and differentiation in series), from a rate to the law's
-        output.
+        """Return the state space of `direct` plus `change` times lag and differentiation in series.
+
+        It maps a rate to the output of the law.
         """
         if self.sample_s is None:
             a = -self.pole_radps

@@ -70,8 +70,9 @@ def design_of(
     roll: RollSection | None = None,
     basis: DesignBasis | None = None,
 ) -> Design:
-    """Return a design whose numbers are rounded to nine digits, so that the written, verified and flown numbers are
-    identical.
+    """Return a design whose numbers are rounded to nine digits.
+
+    The written, verified and flown numbers are thus identical.
     """
     rounded = json.loads(json.dumps(law.tables()), parse_float=lambda text: float(f"{float(text):.{_DIGITS}g}"))
     given = {"schema": 2, "name": name, "description": description, "vehicle": vehicle, **rounded}
@@ -104,9 +105,7 @@ def design_text(design: Design, comments: Sequence[str] = ()) -> str:
 
 
 def _without_empty(filter_: dict[str, Any]) -> dict[str, Any]:
-    """Return a filter section without its empty lists of sections, in the section itself and at each point of its
-    schedule.
-    """
+    """Return a filter section, and each point of its schedule, without empty lists of sections."""
     kept = {key: value for key, value in filter_.items() if value != ()}
     return kept | ({"schedule": [_without_empty(point) for point in kept["schedule"]]} if "schedule" in kept else {})
 

@@ -43,8 +43,9 @@ def _with_drift(log_gains: Array) -> Array:
 
 
 class DriftVariables(PdVariables):
-    """The variables (`law.LawVariables`) of PD with drift feedback: the PD variables, then ln k_zd and ln k_z at the
-    gain nodes.
+    """The variables (`law.LawVariables`) of PD with drift feedback.
+
+    The PD variables are followed by ln k_zd and ln k_z at the gain nodes.
     """
 
     inputs = (*MEASUREMENTS[:2], *DRIFTS)
@@ -55,8 +56,9 @@ class DriftVariables(PdVariables):
 
 
 class PidDriftVariables(PidVariables):
-    """The variables (`law.LawVariables`) of PID with drift feedback: the PID variables, then ln k_zd and ln k_z at the
-    nodes.
+    """The variables (`law.LawVariables`) of PID with drift feedback.
+
+    The PID variables are followed by ln k_zd and ln k_z at the gain nodes.
     """
 
     inputs = (*MEASUREMENTS, *DRIFTS)
@@ -93,10 +95,9 @@ def minimum_drift_k_alpha(given: PlaneCoefficients, k_p: float) -> float:
 
 
 def drift_k_zd(given: PlaneCoefficients, k_p: float, share: float) -> float:
-    """Return the gain k_zd, rad s/m, for which the drift velocity is the fraction `share` of a steady wind, without
-    k_alpha.
+    """Return the gain k_zd, rad s/m, for a drift velocity of the fraction `share` of a steady wind.
 
-    Raises ValueError for a share outside 0 to 1.
+    The law has no k_alpha. Raises ValueError for a share outside 0 to 1.
     """
     if not 0.0 < share <= 1.0:
         raise ValueError(f"share = {share:g}: allowed is above 0, at most 1")

@@ -57,7 +57,7 @@ class Controller(Protocol):
         """Return the gains in use by name, for reports."""
 
     def check(self, sample_s: float | None) -> None:
-        """Check the sample period. Raises ValueError if the law is not valid for a loop of this period."""
+        """Check that the law is valid for a loop with the period `sample_s`. Raises ValueError otherwise."""
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
         """Return the response C, (..., inputs), at frequencies of shape (...).
@@ -66,8 +66,9 @@ class Controller(Protocol):
         """
 
     def filter_response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """Return the factor common to all inputs (the bending filter), in the shape of the frequencies; 1 without a
-        filter.
+        """Return the factor common to all inputs (the bending filter), in the shape of the frequencies.
+
+        The factor is 1 without a filter.
         """
 
     def static_gain(self, name: str) -> float:
@@ -80,7 +81,7 @@ class Controller(Protocol):
         """Return the state space from `inputs` to `command_rad`. It is a discrete system if the law is discrete."""
 
     def scaled(self, factor: float) -> Controller:
-        """Return the same law with all its gains multiplied by a factor."""
+        """Return the law with all its gains multiplied by `factor`."""
 
 
 class DesignedLaw(Protocol):
@@ -91,8 +92,7 @@ class DesignedLaw(Protocol):
         """Return the name of the quantity over which the gains are scheduled."""
 
     def at(self, at: float, plane: Plane, sample_s: float | None) -> Controller:
-        """Return the law with the gains at a value of the scheduling quantity, such as a vehicle time
-        (`Node.scheduled`).
+        """Return the law with the gains at a value of the scheduling quantity (`Node.scheduled`).
 
         The law is discrete with the flight computer's period `sample_s`, or continuous if it is None.
         """
@@ -183,11 +183,11 @@ class LawVariables(Protocol):
 
     @property
     def lower(self) -> Array:
-        """Return the lower bounds of the variables."""
+        """Return the lower bounds of the variables, (variables,)."""
 
     @property
     def upper(self) -> Array:
-        """Return the upper bounds of the variables."""
+        """Return the upper bounds of the variables, (variables,)."""
 
     @property
     def own_size(self) -> int:
@@ -243,8 +243,7 @@ class LawVariables(Protocol):
         """Return the starting points of the search, most promising first."""
 
     def beside(self, variables: Array, lost: IntArray) -> Array | None:
-        """Return the variables with the gains of the plants `lost` (indices) interpolated between the gains of the
-        others.
+        """Return the variables with the gains of the plants `lost` (indices) interpolated between the others.
 
         Returns None if every gain belongs to one of these plants.
         """
@@ -256,8 +255,7 @@ class LawVariables(Protocol):
         """
 
     def simpler(self) -> tuple[LawVariables, Callable[[Array], Array]] | None:
-        """Return a family with fewer variables for rough searches, and the function that converts its variables to
-        these.
+        """Return a family with fewer variables for rough searches, and the conversion of its variables to these.
 
         Returns None if such a search is not worthwhile.
         """

@@ -27,7 +27,10 @@ START_S2PM = 3e-3  # starting acceleration gain, about a tenth of mass / thrust
 
 
 class LoadReliefVariables(PdVariables):
-    """The variables (`law.LawVariables`) of load relief: the PD variables, then ln k_a at the gain nodes."""
+    """The variables (`law.LawVariables`) of load relief.
+
+    The PD variables are followed by ln k_a at the gain nodes.
+    """
 
     inputs = (*MEASUREMENTS[:2], ACCELERATION)
     keys = ("k_p", "k_d_s", "k_a_s2pm")
@@ -37,8 +40,9 @@ class LoadReliefVariables(PdVariables):
 
 
 class IncidenceReliefVariables(PdVariables):
-    """The variables (`law.LawVariables`) of load relief by angle of attack: the PD variables, then ln k_alpha at the
-    nodes.
+    """The variables (`law.LawVariables`) of load relief by angle of attack.
+
+    The PD variables are followed by ln k_alpha at the gain nodes.
     """
 
     inputs = (*MEASUREMENTS[:2], ACCELERATION)

@@ -271,9 +271,7 @@ class PdDesign:
 
 
 def as_flown(own: LoopFilter, sample_s: float | None) -> BendingFilter | DiscreteFilter:
-    """Return the filter in the form that the flight computer runs at a period, or in continuous form if `sample_s` is
-    None.
-    """
+    """Return the filter as the flight computer runs it at a period, or in continuous form for a period of None."""
     form, discretization, prewarp_hz = own
     return form if sample_s is None else form.discretize(sample_s, discretization, prewarp_hz)
 

@@ -1,7 +1,7 @@
-"""The variables of the proportional-derivative law (pd.py) for the optimiser: gains at nodes, bending filter, gyro
-weights, and the filters of the single loops.
+"""The variables of the proportional-derivative law (pd.py) for the optimiser.
 
-pid.py adds the variables of the integral, load_relief.py those of load relief, and drift.py those of drift feedback.
+They are the gains at nodes and the parameters of the bending filter, the gyro weights, and the loop filters. The
+integral adds variables in pid.py, load relief in load_relief.py, and drift feedback in drift.py.
 """
 
 from __future__ import annotations
@@ -325,8 +325,9 @@ class PdVariables:
 
     # --- limits that are independent of frequency
     def limit_values(self, own: Array) -> list[LimitValues]:
-        """Return the values of the limits on rigid-body frequency (47), damping (48), filter gain (46) and wind
-        response.
+        """Return the values of the limits (46) to (48) and of those on the wind response.
+
+        (46) limits the filter gain, (47) the rigid-body frequency, and (48) its damping ratio.
         """
         n = self.filter.size
         k_p, k_d = np.exp(own[:, n : n + 2]).T

@@ -23,7 +23,10 @@ from maxq.design.laws.task import DB, Task
 
 
 class PidVariables(PdVariables):
-    """The variables (`law.LawVariables`) of PID: the PD variables, then ln k_i at the gain nodes."""
+    """The variables (`law.LawVariables`) of PID.
+
+    The PD variables are followed by ln k_i at the gain nodes.
+    """
 
     inputs: tuple[str, ...] = MEASUREMENTS
     keys: tuple[str, ...] = ("k_p", "k_d_s", "k_i_ps")

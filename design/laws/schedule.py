@@ -1,5 +1,6 @@
-"""Gain schedules as a vector of variables: the logarithm of each gain at the gain nodes, with the gains linear in
-between (eq. 51).
+"""Gain schedules as a vector of variables: the logarithm of each gain at the gain nodes (eq. 51).
+
+The gains are linear between the nodes.
 """
 
 from __future__ import annotations
@@ -77,9 +78,7 @@ class GainSchedules:
         return out
 
     def from_nodes(self, nodes: Array, gains: Array) -> Array:
-        """Return the variables interpolated from gains (gains, nodes) at other nodes. The result is empty if the gains
-        are fixed.
-        """
+        """Return the variables interpolated from gains (gains, nodes) at other nodes; empty for fixed gains."""
         if self.size == 0:
             return np.zeros(0)
         return np.concatenate([np.log(np.interp(self.nodes, nodes, k)) for k in gains])

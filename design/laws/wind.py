@@ -1,5 +1,4 @@
-"""The response of the closed loop to wind: rms values of load, drift and bending moments under a spectrum, and their
-gradients.
+"""The response of the closed loop to wind: rms load, drift and bending moments, and their gradients.
 
     T = G_w - G_u (sum of C_i M_i) / (1 + L),    rms^2 = integral of |T|^2 S df
 
@@ -93,11 +92,10 @@ class WindResponse:
         return list(WIND_LIMITS).index(key) if isinstance(key, str) else MOMENTS + self.stations_m.index(key)
 
     def rms(self, outputs: Sequence[int], law: ComplexArray, slopes: ComplexArray) -> tuple[Array, Array]:
-        """Return the rms values of the outputs, (outputs,), and their gradients, (outputs, n), for the law C (F,
-        inputs).
+        """Return the rms values of the outputs, (outputs,), and their gradients, (outputs, n).
 
-        Loads are in Pa deg, drift in m/s and moments in N m. `slopes` (F, inputs, n) are the derivatives of C; n = 0
-        gives no gradients.
+        `law` is C (F, inputs). Loads are in Pa deg, drift in m/s and moments in N m. `slopes` (F, inputs, n) are the
+        derivatives of C; n = 0 gives no gradients.
         """
         loop, sensed = 1.0 + (law * self.paths).sum(axis=1), (law * self.measured).sum(axis=1)
         by_command = self.by_command[list(outputs)]

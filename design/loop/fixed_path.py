@@ -299,9 +299,7 @@ class FixedPath(abc.ABC):
 
     @cached_property
     def _settled(self) -> Array:
-        """Return the steady states of the vehicle for a constant unit input of the first drive, in a least-squares
-        sense.
-        """
+        """Return the least-squares steady states of the vehicle for a constant unit input of the first drive."""
         return np.asarray(np.linalg.lstsq(self.vehicle.a, -self.vehicle.b[:, 0], rcond=None)[0], float)
 
 
@@ -390,10 +388,10 @@ class ExactFixedPath(_ContinuousFixedPath):
 
 
 class SampledFixedPath(FixedPath):
-    """The path as the flight computer samples it. `response` is evaluated at z = exp(j w T), up to the Nyquist
-    frequency.
+    """The path as the flight computer samples it.
 
-    The cuts of eq. 42 end at q, or q_m, averaged by the converter without the lag of a gyro.
+    `response` is evaluated at z = exp(j w T), up to the Nyquist frequency. The cuts of eq. 42 end at q, or q_m,
+    averaged by the converter without the lag of a gyro.
     """
 
     kind = "sampled"
@@ -470,11 +468,10 @@ def sampled_computer(s: ComplexArray, sample_s: float, delay_s: Array | float) -
 
 
 def image_points(poles_radps: ComplexArray, sample_s: float | None) -> ComplexArray:
-    """Return the points s on the imaginary axis, (poles, images), that contribute to the response at each pole's
-    frequency.
+    """Return the points s on the imaginary axis that contribute to the response at each pole's frequency.
 
-    The frequency itself (`own_part.centre_of`) is in the middle. A continuous path (`sample_s` None) has no further
-    images.
+    The shape is (poles, images). The frequency itself (`own_part.centre_of`) is in the middle. A continuous path
+    (`sample_s` None) has no further images.
     """
     rate_hz = 1.0 / (sample_s or 1e-300)
     hz, widths_hz = poles_radps.imag / (2.0 * math.pi), np.abs(poles_radps.real) / (2.0 * math.pi)

@@ -82,8 +82,9 @@ class Loop:
         return np.asarray(self.controller(f) * self.fixed.response(f))
 
     def controller(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """Return the controller from mean rate to command, L divided by the fixed path, in the shape of
-        `frequencies_hz`.
+        """Return the controller from mean rate to command, in the shape of `frequencies_hz`.
+
+        It is L divided by the response of the fixed path.
         """
         f = np.asarray(frequencies_hz, float)
         law = self.law.response(f)
@@ -102,11 +103,10 @@ class Loop:
         return np.concatenate([fixed.poles(), self.law.poles(), np.zeros(sum(at_zero), np.complex128)])
 
     def closed_poles(self) -> ComplexArray:
-        """Return the zeros of 1 + L, rad/s, from the state matrix. A zero z of a sampled loop is converted to log(z) /
-        T.
+        """Return the zeros of 1 + L, rad/s, from the state matrix.
 
-        The kind `exact` has infinitely many zeros. Newton's method finds them from the zeros of the Padé loop, up to
-        twice the Nyquist frequency of the flight computer.
+        A zero z of a sampled loop is converted to log(z) / T. The kind `exact` has infinitely many zeros. Newton's
+        method finds them from the zeros of the Padé loop, up to twice the Nyquist frequency of the flight computer.
         """
         if isinstance(self.fixed, ExactFixedPath):
             return self._refined_poles(self.fixed)
@@ -186,8 +186,9 @@ class Loop:
 
 
 def law_at(design: Design, node: OperatingPoint, kind: LoopKind = "sampled") -> Controller:
-    """Return the design's law at an operating point and in its plane, sampled for `kind` "sampled" and continuous
-    otherwise.
+    """Return the design's law at an operating point and in its plane.
+
+    The law is sampled for `kind` "sampled" and continuous otherwise.
     """
     law = designed_law(design.of_stage(node.stage))
     return law.at(node.scheduled(law.over), node.plane, node.instruments.sample_s if kind == "sampled" else None)

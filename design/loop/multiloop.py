@@ -189,10 +189,10 @@ def multiloops(scenario: LoadedScenario, design: Design, times_s: Iterable[float
 
 
 def multiloop(packed: Packed, design: Design, time_s: float) -> Multiloop:
-    """Return the loops of a packed flight at its present state, with position, attitude, velocity and roll rate as
-    flown.
+    """Return the loops of a packed flight at its present state.
 
-    Modes, pendulums and engines are at rest. Pitch and yaw rates are zero.
+    Position, attitude, velocity and roll rate are those flown. Modes, pendulums and engines are at rest. Pitch and yaw
+    rates are zero.
     """
     model, matrix = linearise(*at_rest(packed, time_s), time_s), np.eye(2, 3)
     stage = int(packed.memory[0].clock.stage)

@@ -40,10 +40,10 @@ def folded_hz(frequency_hz: Real, rate_hz: float) -> Real:
 
 @formula
 def centre_of(frequency_hz: Real, half_width_hz: Real, highest_hz: float) -> Real:
-    """Return the frequency (Hz) at which a mode is examined: the magnitude of its folded pole, below the Nyquist
-    frequency.
+    """Return the frequency (Hz) at which a mode is examined.
 
-    The result differs from `frequency_hz` only if damping makes the resonance indistinct.
+    It is the magnitude of the folded pole, limited to the Nyquist frequency. The result differs from `frequency_hz`
+    only if damping makes the resonance indistinct.
     """
     centre: Real = np.minimum(np.hypot(frequency_hz, half_width_hz), NEAREST_NYQUIST * highest_hz)
     return centre
@@ -66,11 +66,10 @@ def attribution(part: complex) -> float:
 def peak_band(
     centre_hz: float, half_width_hz: float, part: complex, gap_hz: float, top_hz: float
 ) -> tuple[float, float]:
-    """Return the lower and upper frequency (Hz) of the band that contains a mode's peak. They are equal for a single
-    point.
+    """Return the lower and upper frequency (Hz) of the band that contains a mode's peak.
 
-    The rest of the response is taken as constant over the band. `gap_hz` is the distance to the nearest other mode, and
-    `top_hz` is the highest frequency of the loop.
+    They are equal for a single point. The rest of the response is taken as constant over the band. `gap_hz` is the
+    distance to the nearest other mode, and `top_hz` is the highest frequency of the loop.
     """
     strong = half_width_hz * (dominance(part) / SHARE - 1.0)
     half = min(max(BAND * centre_hz, LEAST * half_width_hz), 0.5 * gap_hz, strong)

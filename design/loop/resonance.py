@@ -30,8 +30,9 @@ class Resonance:
 
     @property
     def centre_hz(self) -> float:
-        """Return the frequency at which the resonance is examined: `centre_of` for a bending mode, `frequency_hz`
-        otherwise.
+        """Return the frequency at which the resonance is examined.
+
+        It is `centre_of` for a bending mode, and `frequency_hz` otherwise.
         """
         bends = not math.isnan(self.part.real)
         return centre_of(self.frequency_hz, self.half_width_hz, self.highest_hz) if bends else self.frequency_hz

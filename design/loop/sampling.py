@@ -38,8 +38,9 @@ class SampledPlant:
     rate_early: Array
 
     def state_space(self) -> StateSpace:
-        """Return the discrete state space, whose states are those of the plant, the pending commands and the mean
-        rates.
+        """Return the discrete state space.
+
+        Its states are those of the plant, the pending commands and the mean rates.
         """
         (n, inputs), outputs = self.late.shape, len(self.psi)
         m = self.whole_periods + (

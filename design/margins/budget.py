@@ -142,8 +142,9 @@ def loop_budget(loop: Loop, frequencies_hz: Sequence[float]) -> tuple[Budget, ..
 
 
 def crossing_budgets(loop: Loop, measured: Margins) -> dict[str, Budget]:
-    """Return the budgets at the rigid crossover and at the frequency of each margin, by name; none for an unstable
-    loop.
+    """Return the budgets at the rigid crossover and at the frequency of each margin, by name.
+
+    An unstable loop has none.
     """
     if not measured.stable:
         return {}

@@ -33,7 +33,7 @@ class GainCrossings:
 
     @property
     def phase_margin_deg(self) -> Array:
-        """Return the phase margins in (-180, 180].
+        """Return the phase margins in (-180, 180], deg.
 
         A positive value is the lag that moves the point to -1, and a negative value the lead, if that is smaller.
         """
@@ -41,12 +41,12 @@ class GainCrossings:
 
     @property
     def lag_deg(self) -> Array:
-        """Return the lag in [0, 360) that moves the point to -1."""
+        """Return the lag in [0, 360) that moves the point to -1, deg."""
         return np.asarray(np.mod(self.phase_margin_deg, 360.0))
 
     @property
     def delay_s(self) -> Array:
-        """Return the delay that causes this lag."""
+        """Return the delay that causes this lag, s."""
         return np.asarray(self.lag_deg / (360.0 * self.frequency_hz))
 
 
@@ -65,7 +65,7 @@ class PhaseCrossings:
 
     @property
     def gain_margin_db(self) -> Array:
-        """Return the gain margins.
+        """Return the gain margins, dB.
 
         A positive value is the increase of gain that moves the point to -1, and a negative value the decrease.
         """
@@ -177,8 +177,9 @@ def _real_angle(x: complex) -> float:
 
 @routine
 def encirclement_count(t: Trace, every: Crossings, past: IntArray, before: Trace, open_: ComplexArray) -> int:
-    """Return the number of zeros of 1 + L in the right half plane (outside the unit circle), from the curve's turns
-    about -1.
+    """Return the number of unstable zeros of 1 + L, from the turns of the curve about -1.
+
+    Unstable zeros are in the right half plane (outside the unit circle):
 
         zeros = poles - turn of 1 + L over the upper half / pi
 

@@ -98,7 +98,7 @@ class LoopCurve:
         return float(2.0 * np.pi * self.frequency_hz[0])
 
     def with_points(self, frequency_hz: Array, loop: ComplexArray) -> LoopCurve:
-        """Return the curve with other points."""
+        """Return the same curve with the given points."""
         return replace(self, frequency_hz=frequency_hz, loop=loop)
 
 

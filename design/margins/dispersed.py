@@ -278,10 +278,10 @@ def _pair_of(omega: Array | float, zeta: Array | float, n: int) -> tuple[Complex
 
 
 def _owners(code: IntArray, member: Array, poles: ComplexArray, vectors: ComplexArray, left: ComplexArray) -> IntArray:
-    """Return the mode (+k), tank (-k) or other owner (0) of each pole, (vehicles, poles), as in
-    `resonance.vehicle_poles`.
+    """Return the mode (+k), tank (-k) or other owner (0) of each pole, (vehicles, poles).
 
-    `code` is the number of each owner (owners,), and `member` its states (owners, states).
+    The assignment is that of `resonance.vehicle_poles`. `code` is the number of each owner (owners,), and `member` its
+    states (owners, states).
     """
     share = np.abs(vectors * left.transpose(0, 2, 1))
     per_owner = np.einsum("os,vsp->vop", member, share)

@@ -1,9 +1,9 @@
-"""Lobes: the loops in the Nyquist plane that lightly damped poles cause. Each lobe is found, named and assessed
-separately.
+"""Lobes: the loops in the Nyquist plane that lightly damped poles cause.
 
-Near a pole at p = -sigma + j w0, the response is R / (s - p) plus the contribution of the rest of the loop. The second
-difference over the half width, u = 2 L(w0) - L(w0 + sigma) - L(w0 - sigma), is R / sigma up to the curvature of the
-rest. For a bending mode, the first term is known (`resonance.Resonance.part`).
+Each lobe is found, named and assessed separately. Near a pole at p = -sigma + j w0, the response is R / (s - p) plus
+the contribution of the rest of the loop. The second difference over the half width, u = 2 L(w0) - L(w0 + sigma) - L(w0
+- sigma), is R / sigma up to the curvature of the rest. For a bending mode, the first term is known
+(`resonance.Resonance.part`).
 
 The lobe is the range in which the term exceeds SHARE times the rest, and at least LEAST half widths on either side. It
 ends where the term of another lobe is larger, and in the valleys of |L| on both sides of its peak. If the own part of a
@@ -180,10 +180,10 @@ def find_lobes(
 def _strengths(
     t: Trace, centre: Array, width: Array, part: ComplexArray, on_axis: Array, source: LoopResponse
 ) -> tuple[ComplexArray, Array]:
-    """Return the second difference u, or the own part, of each pole, and its magnitude relative to L at the pole's
-    frequency.
+    """Return the second difference u, or the own part, of each pole, and its magnitude relative to L.
 
-    Points above the Nyquist frequency are folded, where L is the complex conjugate.
+    L is that at the frequency of the pole. Points above the Nyquist frequency are folded, where L is the complex
+    conjugate.
     """
     n, top, low = len(centre), t.frequency_hz[len(t.frequency_hz) - 1], t.frequency_hz[0]
     f = np.concatenate((centre, centre + width, centre - width))

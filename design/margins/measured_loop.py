@@ -55,9 +55,7 @@ class LoopAtPoint:
         return {int(lobe.label.split()[1]): lobe for lobe in self.lobes if lobe.kind == "bending"}
 
     def mode_peak_db(self, first: int, last: int) -> float:
-        """Return the largest peak of the bending modes `first` to `last` (`loop.own_part`), or -inf if the loop has
-        none.
-        """
+        """Return the largest peak of the bending modes `first` to `last` (`loop.own_part`), or -inf."""
         return max((lobe.peak_db for n, lobe in self.bending.items() if first <= n <= last), default=-math.inf)
 
     def mode_phase_deg(self, mode: int) -> float:

@@ -113,8 +113,9 @@ def descent(
 
 
 def _descended(m: ComplexArray, inside: Array, start: Scaling, value: float, sharpness: float) -> Scaling:
-    """Return T and G after a short descent. It is short because the gradient with respect to T is exact only at its
-    start.
+    """Return T and G after a short descent.
+
+    It is short because the gradient with respect to T is exact only at its start.
     """
     count = int(inside.sum())
     found = scipy.optimize.minimize(

@@ -287,8 +287,9 @@ def _sum_terms(f: Array, loop: LoopResponse, out: ComplexArray) -> None:
 def _newton(
     w: complex, mu: ComplexArray, alpha: ComplexArray, beta: ComplexArray, every: ComplexArray, loop: LoopResponse
 ) -> complex:
-    """Return the logarithmic derivative, with respect to w, of 1 + L times the product of (w - p) over all poles
-    `every`.
+    """Return the logarithmic derivative of 1 + L times the product of (w - p) over all poles `every`.
+
+    The derivative is with respect to w.
     """
     late = reciprocal(1.0 + w)
     total, slope = loop.direct[0] + loop.direct[1] * late, -loop.direct[1] * late * late

@@ -49,9 +49,7 @@ def from_minus_one_deg(loop: ComplexArray) -> Array:
 
 @formula
 def vertex(a: Real, c: Real, b: Real, fa: Real, fc: Real, fb: Real) -> tuple[Real, Real]:
-    """Return the location of the lowest point of the parabola through three points, and its depth below the middle
-    point.
-    """
+    """Return the lowest point of the parabola through three points, and its depth below the middle point."""
     left, right = (fa - fc) / (c - a), (fb - fc) / (b - c)
     curvature = (left + right) / (b - a)
     slope = (right * (c - a) - left * (b - c)) / (b - a)
@@ -87,10 +85,10 @@ def lag_of(x: complex) -> float:
 
 @routine
 def lobe_excess(j: int, hz: float, x: complex, lobes: Array) -> float:
-    """Return ln of the ratio of lobe j's term to its bound: the largest other term, or SHARE times the rest of L if
-    larger.
+    """Return ln of the ratio of lobe j's term to its bound.
 
-    `x` is L at `hz`. `lobes` (lobes, 4) contains real and imaginary part of the strength, frequency and half width, Hz.
+    The bound is the largest other term, or SHARE times the rest of L if that is larger. `x` is L at `hz`. `lobes`
+    (lobes, 4) contains real and imaginary part of the strength, frequency and half width, Hz.
     """
     most = 0.0
     for i in range(len(lobes)):

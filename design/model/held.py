@@ -349,10 +349,10 @@ class _PlaneOf:
         self._swings = [int(engine["swings"][0, e]) >= 0 for e in range(self._engines)]
 
     def drives_by(self, drive: Sequence[tuple[int, float]]) -> tuple[bool, bool]:
-        """Return True if the rate of a drive acts on engines with a TVC load, and True if its acceleration acts on
-        others.
+        """Return two flags: the rate of a drive acts on engines, and its acceleration acts on engines.
 
-        A drive without engines counts as acting by acceleration.
+        The rate acts on engines with a TVC load, and the acceleration on all others. A drive without engines counts as
+        acting by acceleration.
         """
         moved = {channel // 2 for channel, gain in drive if gain != 0.0}
         mine = [e for e in range(self._engines) if self._groups[e] in moved and self._follows[e]]

@@ -54,7 +54,7 @@ class Instruments:
 
 
 def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:
-    """Return the instruments of a packed stage."""
+    """Return the instruments of a packed stage in one plane."""
     drives, of_group = drives_of(row, plane)
     return Instruments(
         actuators=tuple(drives),
@@ -125,7 +125,7 @@ def actuator_response(record: Any, s: ComplexArray) -> ComplexArray:
 
 
 def lag(s: ComplexArray, omega: Array | float, zeta: Array | float) -> ComplexArray:
-    """Return omega^2 / (s^2 + 2 zeta omega s + omega^2)."""
+    """Return the response omega^2 / (s^2 + 2 zeta omega s + omega^2) at complex s, rad/s."""
     x = np.asarray(s) / omega
     return np.asarray(1.0 / (1.0 + x * (2.0 * zeta + x)))
 

@@ -63,8 +63,7 @@ class Node(OperatingPoint):
     )  # angles of attack and sideslip (rad) at which tables over angle of attack are differentiated
 
     def plant_in_wind(self, wind: bool = True) -> StateSpace:
-        """Return the linear model of the plane, from actuator motion and wind to the rates of body, modes and
-        pendulums.
+        """Return the linear model of the plane, from actuator motion and wind to rates and measurements.
 
         The model is the Jacobian of the simulator's derivative (held.py). `plant` is the same model without wind. The
         states are w (m/s, at the body point of the core's CG), q (rad/s), theta (rad), eta (m) and eta' (m/s), spatial

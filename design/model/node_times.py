@@ -36,13 +36,13 @@ ENDS = ("apogee", "impact")  # events after which a flight is not examined
 def node_times(
     scenario: LoadedScenario, count: int = NODES_PER_STAGE, stage: int | None = None, edges: tuple[float, float] = EDGES
 ) -> tuple[float, ...]:
-    """Return times of operating points that suit a flight: `count` in each stage under full thrust, and some in its
-    tail-off.
+    """Return times of operating points that suit a flight.
 
-    `stage` restricts the times to one stage. Under full thrust they are evenly spaced, and a single point is in the
-    middle. `edges` are the distances of the first and last point from the ends of full thrust, relative to its
-    duration. They are at most `JOINT` at a separation through which the stage continues to burn. See `tail_off_times`
-    for the tail-off. Stages with fixed engines are omitted. Raises ValueError if no stage remains.
+    There are `count` points in each stage under full thrust, and further points in a long tail-off. `stage` restricts
+    the times to one stage. Under full thrust they are evenly spaced, and a single point is in the middle. `edges` are
+    the distances of the first and last point from the ends of full thrust, relative to its duration. They are at most
+    `JOINT` at a separation through which the stage continues to burn. See `tail_off_times` for the tail-off. Stages
+    with fixed engines are omitted. Raises ValueError if no stage remains.
     """
     times, tails = list[float](), dict[int, list[float]]()
     stages = scenario.vehicle.stage

@@ -185,8 +185,9 @@ def _of_actuators(stage: Stage, s: str) -> Iterator[tuple[str, int, list[str]]]:
 
 
 def _poles(axis: ActuatorAxis) -> list[int]:
-    """Return the indices of an actuator's frequencies that belong to poles. One of four frequencies belongs to the
-    zeros.
+    """Return the indices of an actuator's frequencies that belong to poles.
+
+    One of four frequencies belongs to the zeros.
     """
     zeros = 2 if axis.exchange_a3_a4 else 3
     return [k for k in range(len(axis.omega_hz)) if k != zeros]

@@ -31,8 +31,9 @@ class Pendulums:
         return np.asarray(self.damping_ratio + self.viscous * np.maximum(load_mps2, 1e-9) ** -0.25)
 
     def damping(self, load_mps2: float) -> Array:
-        """Return the damping ratio for the amplitude `swing_rad`, with the describing function of rings (docs/model.md,
-        5.9).
+        """Return the damping ratio for the amplitude `swing_rad`.
+
+        The damping of rings is their describing function (docs/model.md, 5.9).
         """
         return np.asarray(self.small_wave_damping(load_mps2) + self.ring * np.sqrt(self.swing_rad))
 

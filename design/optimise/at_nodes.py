@@ -1,6 +1,4 @@
-"""The solution of a case at its operating points: the problem, the search from all starts, and a stability check by
-poles.
-"""
+"""The solution of a case at its operating points: problem, search from all starts, and stability check by poles."""
 
 from __future__ import annotations
 
@@ -95,8 +93,7 @@ def search_best(
 
 
 def search_on(case: Case, problem: Problem, found: BestPoint, also_settled: bool = False) -> BestPoint:
-    """Continue an unsettled search that misses the limits with a search for the limits alone, and return the better
-    point.
+    """Return the better point after a search for the limits alone, from a search that misses them.
 
     The search begins at the best effort and at the law's own starts. It uses about half the number of evaluations of
     the previous search. `also_settled` includes a best effort that is settled.
@@ -161,8 +158,9 @@ def _search_from(
 
 
 def closes_stably(plants: Plants, problem: Problem, variables: Array) -> bool:
-    """Return True if every closed loop is stable by its eigenvalues, independently of the optimiser's argument
-    principle.
+    """Return True if every closed loop is stable by its eigenvalues.
+
+    The optimiser uses the argument principle instead, so that the check is independent.
     """
     for plant, law in zip(plants.each, problem.law.controllers(variables), strict=True):
         poles = plant.without_drift(Loop(plant.path, law).closed_poles())

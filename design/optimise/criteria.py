@@ -44,7 +44,7 @@ class Seen:
 
     @cached_property
     def gain_db(self) -> Array:
-        """Return |L| in dB."""
+        """Return |L| at each feature, dB."""
         return self.at.value.real * DB
 
     @cached_property

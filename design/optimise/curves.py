@@ -38,8 +38,7 @@ LogAndSlopes = tuple[ComplexArray, ComplexArray, ComplexArray]
 
 @dataclass(frozen=True)
 class Points:
-    """The response at points of the curves, as logarithms with their first and second derivatives with respect to x =
-    ln f.
+    """The response at points of the curves, as logarithms with two derivatives with respect to x = ln f.
 
     Each array has the shape (points,). `log_ratio` contains the ratio of each measurement to `BASE`, and None for
     `BASE` itself.
@@ -130,8 +129,9 @@ def mesh_of(path: FixedPath, kept_hz: Array, tolerance: float = TOLERANCE) -> Pa
 
 
 def _spline(x: Array, responses: ComplexArray) -> BSpline:
-    """Return the splines of Re ln and Im ln of each row of `responses`, as columns. Raises ValueError for infinite
-    values.
+    """Return the splines of Re ln and Im ln of each row of `responses`, as columns.
+
+    Raises ValueError for values that are not finite.
     """
     if not np.isfinite(responses).all():
         raise ValueError("the response of a plant is not finite")

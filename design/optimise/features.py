@@ -50,7 +50,7 @@ WIDEST_ZONE = 2.5  # largest value of the zone's function that has a row
 
 
 class FeatureKind(IntEnum):
-    """The kind of a feature."""
+    """The kinds of features that the table of the module lists."""
 
     PEAK = 0
     GAIN_CROSSING = 1
@@ -104,7 +104,7 @@ class LogLoop:
         return replace(self, value=self.value + 0.5 * (self.first + first) * change, first=first)
 
     def taken(self, i: CurveIndices) -> LogLoop:
-        """Return a selection of the points."""
+        """Return the points with the indices `i`."""
         axis = tuple(a[i] for a in self.axis)
         return LogLoop(self.value[i], self.first[i], self.second[i], self.weights[i], self.own[i], axis)
 
@@ -192,8 +192,7 @@ class Bands:
 
     @cached_property
     def points(self) -> tuple[CurveIndices, CurveIndices, CurveIndices, CurveIndices]:
-        """Return the mesh points of all bands, the band of each, and the positions of each band's first and last
-        points.
+        """Return the mesh points of all bands, the band of each, and each band's first and last position.
 
         The positions are those in the returned mesh points.
         """
@@ -292,8 +291,9 @@ def ends(mesh: CurveMesh) -> MeshPlaces:
 
 
 def _extremes(curves: Curves, value: Array, lowest: bool, where: Mask) -> tuple[CurveIndices, Array]:
-    """Return the inner mesh points, among those selected by `where`, that are local extremes, and each parabola's
-    vertex.
+    """Return the inner mesh points that are local extremes, and each parabola's vertex.
+
+    `where` selects the mesh points.
     """
     v = value if lowest else -value
     inner = np.zeros(len(v), bool)
@@ -412,9 +412,7 @@ def _zone_condition(kind: NDArray[np.int8], at: LogLoop, k: Mask, cross: Cross) 
 
 
 def sensitivity(kind: NDArray[np.int8], at: LogLoop, cross: Cross) -> ComplexArray:
-    """Return the factors c, (features,), such that a change d ln L changes the excess of each feature by Re(c d ln L),
-    dB.
-    """
+    """Return the factors c, (features,), for which Re(c d ln L) is the change of each feature's excess, dB."""
     value, first, db_per_rad = at.value, at.first, cross.db_per_rad
     beside = wrapped(value)
     gain_side, phase_side = np.sign(value.real), np.sign(beside)

@@ -56,9 +56,7 @@ class Plant:
         return [(mode.number, *mode.band_hz) for mode in self.modes]
 
     def without_drift(self, poles: ComplexArray) -> ComplexArray:
-        """Return the poles of the open or closed loop (rad/s) that are not slower than the lowest frequency of its
-        curve.
-        """
+        """Return the poles of the open or closed loop (rad/s), except those below the range of its curve."""
         return np.asarray(poles[np.abs(poles) > 2.0 * np.pi * lowest_hz_of(self.path.poles())])
 
 

@@ -1,8 +1,7 @@
-"""A solver for small, dense, convex quadratic programmes: a primal-dual interior-point method with Mehrotra's predictor
-and corrector.
+"""A primal-dual interior-point solver for small, dense, convex quadratic programmes.
 
-SciPy has no such solver. This one needs 0.7 ms and twelve iterations for 36 unknowns and 115 rows. Source: Nocedal &
-Wright, Numerical Optimization (2nd ed.), section 16.6.
+The method has Mehrotra's predictor and corrector. SciPy has no such solver. This one needs 0.7 ms and twelve iterations
+for 36 unknowns and 115 rows. Source: Nocedal & Wright, Numerical Optimization (2nd ed.), section 16.6.
 """
 
 from __future__ import annotations

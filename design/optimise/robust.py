@@ -112,10 +112,10 @@ class _Worst:
     tried: int = 0
 
     def at(self, node: Node, taken: set[tuple[float, Deviation]]) -> tuple[float, Deviation]:
-        """Return the largest excess (dB) at an operating point over the objective or a limit, and the plant that has
-        it.
+        """Return the worst plant at an operating point, preceded by its excess (dB).
 
-        The search also begins at the plants `taken` at this and at the neighbouring operating points.
+        The excess is that over the objective or a limit of the design. The search also begins at the plants `taken` at
+        this and at the neighbouring operating points.
         """
         both = [modes_off(node, self.ranges, end) for end in (-1, 1)]
         count = len(both[0])
@@ -144,8 +144,7 @@ class _Worst:
         return score(best), tuple(best.tolist())
 
     def nearest(self, node: Node, corners: Sequence[Array]) -> list[Array]:
-        """Return the end point of a search from `corners` for the loop nearest to -1, and the corner before its
-        descent.
+        """Return the loop nearest to -1 in a search from `corners`, before and after the final descent.
 
         The list is empty if the compiled margins do not support the loop.
         """

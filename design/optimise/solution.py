@@ -85,11 +85,11 @@ def is_logarithmic(variable: str) -> bool:
 
 @dataclass(frozen=True)
 class Trial:
-    """A short search from the best effort of an infeasible case with one change, which reports the violation it
-    reached.
+    """A short search from the best effort of an infeasible case, with one change.
 
-    `settings` is the change as keys of the case or of the vehicle. `missing_db` is the least violation reached, or 0 if
-    all limits are met. `problem` is the reason why a change could not be tried.
+    A trial reports only the violation that it reached. `settings` is the change as keys of the case or of the vehicle.
+    `missing_db` is the least violation reached, or 0 if all limits are met. `problem` is the reason why a change could
+    not be tried.
     """
 
     change: str
@@ -170,9 +170,7 @@ class Solution:
 
     @property
     def unchecked(self) -> str:
-        """Return the requirements of the case against which this design was not checked, as text, or "" if there are
-        none.
-        """
+        """Return the requirements of the case that were not checked, as text, or "" if there are none."""
         found = []
         if self.case.between_nodes == "hold" and self.certificate.instants == 0:
             found.append("the instants between them were not checked")
@@ -182,9 +180,7 @@ class Solution:
 
     @property
     def met(self) -> str:
-        """Return a statement of where a feasible design meets its limits, such as "all limits met at its 11 operating
-        points".
-        """
+        """Return where a feasible design meets its limits, such as "all limits met at its 11 operating points"."""
         if self.unchecked:
             return f"limits met at the operating points; {self.unchecked}"
         count = len(self.nodes)

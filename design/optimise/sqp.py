@@ -1,7 +1,7 @@
-"""The descent from one start to a local optimum: sequential quadratic programming for minimax problems in a trust
-region.
+"""The descent from one start to a local optimum, by sequential quadratic programming in a trust region.
 
-Newton's method on the active rows completes the descent and gives the residual of the optimality conditions.
+The method solves minimax problems. Newton's method on the active rows completes the descent and gives the residual of
+the optimality conditions.
 
 Each step minimises t + penalty v + d'Bd/2, with every linearised peak of the objective at most t and every other excess
 at most v >= 0. B is the matrix of the Lagrangian's second derivatives, made positive semidefinite. If curved rows
@@ -232,10 +232,10 @@ class Optimality:
 
 
 def optimality(problem: Problem, at: ProblemAtPoint, worst_violation: bool = False) -> Optimality:
-    """Return the multipliers of a point, by non-negative least squares. Without a leading row, the residual is
-    infinite.
+    """Return the multipliers of a point, by non-negative least squares.
 
-    `worst_violation` selects the problem with the largest excess as its objective.
+    Without a leading row, the residual is infinite. `worst_violation` selects the problem with the largest excess as
+    its objective.
     """
     rows, n = at.rows, problem.size
     if worst_violation:

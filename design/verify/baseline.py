@@ -125,9 +125,7 @@ class Compared:
 
     @property
     def agreed(self) -> str:
-        """Return one line of text with the agreed baseline and the differences by which it is looser, or "" if it is
-        shipped.
-        """
+        """Return one line of text with the agreed baseline and its loosening differences, or "" if shipped."""
         if self.from_shipped is None:
             return ""
         text = f"agreed baseline {self.baseline}, SHA-256 {self.hashes['baseline'][:16]}, not shipped"
@@ -306,8 +304,9 @@ def _of_vehicle(path: KeyPath) -> bool:
 
 
 def _smaller_spreads(before: dict[KeyPath, Any], after: dict[KeyPath, Any]) -> Iterator[SuiteDifference]:
-    """Yield the deviations with a smaller standard deviation than before, of factors and of quantities outside the
-    vehicle.
+    """Yield the deviations with a smaller standard deviation than before.
+
+    Deviations in units of one vehicle are excluded.
     """
     old, new = _standard_deviations(before), _standard_deviations(after)
     for path in (path for path in old if path in new and new[path] < old[path]):

@@ -84,8 +84,9 @@ class WorstThird:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Return the lower and upper 90 % confidence bound of the probability that a run misses a limit (Clopper and
-        Pearson).
+        """Return the 90 % confidence bounds of the probability that a run misses a limit (Clopper and Pearson).
+
+        Each bound holds alone.
         """
         return failure_lower(self.missed, self.runs, _CONFIDENCE), failure_upper(self.missed, self.runs, _CONFIDENCE)
 

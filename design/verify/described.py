@@ -39,10 +39,10 @@ class DescribedVehicles:
         return None if "three_sigma" in self.wanted.model_fields_set else self.campaign
 
     def at(self, node: Node) -> LoadedCampaign:
-        """Return the campaign of the vehicles at an operating point: `named` if it changes the loop, or else
-        `three_sigma`.
+        """Return the campaign of the vehicles at an operating point.
 
-        Raises ScenarioError if a campaign of the suite's margins changes nothing at the operating point.
+        It is `named` if that changes the loop, or else `three_sigma`. Raises ScenarioError if a campaign of the suite's
+        margins changes nothing at the operating point.
         """
         named, own = self.named, self.wanted.three_sigma
         if named is not None and deviations_of(named, node).places:

@@ -99,8 +99,9 @@ def worst_of_basis(
     watch: Callable[[int, int], None] = lambda done, of: None,
     workers: int = 2,
 ) -> WorstOfBasis:
-    """Return the worst vehicles of a robust basis at the operating points of one stage, and at the instants `between`
-    them.
+    """Return the worst vehicles of a robust basis at the operating points of one stage.
+
+    The instants `between` them are searched, too.
     """
     wanted, region = guides(robust.limits), Region("box", robust.corner_sigmas / 3.0)
     tried: list[int] = []

@@ -64,10 +64,10 @@ class _Missing(Exception):
 
 
 def fit(loaded: LoadedSuite, base: LoadedScenario, memory: PartsOnDisk) -> LoadedSuite:
-    """Return the suite for the vehicle of `base`, which is flown if a mark is used. A fitted suite is returned
-    unchanged.
+    """Return the suite for the vehicle of `base`, which is flown if a mark is used.
 
-    Raises ScenarioError for an unknown mark, and for a mark in a place where it has no value for any vehicle.
+    A fitted suite is returned unchanged. Raises ScenarioError for an unknown mark, and for a mark in a place where it
+    has no value for any vehicle.
     """
     suite = loaded.suite
     texts = [str(d.limit) for d in suite.dispersed_limit]

@@ -1,6 +1,4 @@
-"""The flights of a suite: scenarios, assessed by their requirements, and campaigns, assessed with a required
-confidence.
-"""
+"""The flights of a suite: scenarios, assessed by their requirements, and campaigns, assessed with a confidence."""
 
 from __future__ import annotations
 
@@ -213,10 +211,10 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequiremen
 
 
 def _law_requirement(results: Sequence[FlownResult]) -> list[JudgedRequirement]:
-    """Return the requirement that flight code and its design have the same gimbal angles in every flight without a
-    fault.
+    """Return the requirement that flight code and its design have the same gimbal angles.
 
-    These flights contain no excitation. In a certificate, flight code could recognise the excitation.
+    It applies to every flight without a fault. These flights contain no excitation. In a certificate, flight code could
+    recognise the excitation.
     """
     compared = [r for r in results if math.isfinite(r.law_share)]
     if not compared:

@@ -95,9 +95,7 @@ class JudgedLoop(LoopAtPoint):
 
     @cached_property
     def at_total_gains(self) -> dict[float, Margins]:
-        """Return the margins at the limits of the total gain of adaptive augmenting control, or an empty result without
-        it.
-        """
+        """Return the margins at the limits of the total gain of adaptive control; empty without it."""
         ends = () if self.adaptive is None else (self.adaptive.least_gain, self.adaptive.most_gain)
         loops = {gain: replace(self.loop, law=self.loop.law.scaled(gain)) for gain in ends}
         return {gain: margins(loop, resonances=self.loop.fixed.resonances()) for gain, loop in loops.items()}
@@ -200,9 +198,7 @@ def checks(judged: Sequence[JudgedLoop], design: Design, wanted: Wanted) -> list
 
 
 def motion_checks(judged: Sequence[LoopAtPoint], design: Design) -> list[Check]:
-    """Return the check of the motion of scheduled filters (design/loop/filter_motion.py), or an empty list without
-    them.
-    """
+    """Return the check of the motion of scheduled filters (design/loop/filter_motion.py); empty without them."""
     values, times_s = list[float](), list[float]()
     for stage, plane in sorted({(j.node.stage, j.node.plane) for j in judged}):
         mine = [j for j in judged if (j.node.stage, j.node.plane) == (stage, plane)]
@@ -216,8 +212,9 @@ def motion_checks(judged: Sequence[LoopAtPoint], design: Design) -> list[Check]:
 
 
 def flies_as_measured(kind: str, errata: str, plant: str) -> bool:
-    """Return True for the simulator's own loop and plant, which measurements of all axes and dispersed vehicles
-    require.
+    """Return True for the simulator's own loop and plant.
+
+    Measurements of all axes and of dispersed vehicles require them.
     """
     return (kind, errata, plant) == ("sampled", "corrected", "flown")
 
@@ -283,8 +280,9 @@ class InWind:
 
 @dataclass(frozen=True)
 class DesignOutcome:
-    """The assessment of a design by its case: on the case's own loop, as flown, and on dispersed plants if it is
-    robust.
+    """The assessment of a design by its case.
+
+    It covers the case's own loop, the loop as flown, and dispersed plants of a robust case.
     """
 
     loaded: LoadedCase
@@ -429,11 +427,10 @@ def worst_times_s(found: Iterable[Check]) -> set[float]:
 def judge_solution(
     loaded: LoadedCase, solution: Solution, design: Design | None = None, between: Sequence[OperatingPoint] = ()
 ) -> DesignOutcome:
-    """Assess the design as written, at the operating points of the search and at the dispersed plants of a robust
-    search.
+    """Assess the design as written, at the operating points of the search.
 
-    `design` is the design of all stages, if the solution is one of several. `between` contains additional operating
-    points.
+    The dispersed plants of a robust search are included. `design` is the design of all stages, if the solution is one
+    of several. `between` contains additional operating points.
     """
     design, case = design or make_design(loaded, solution), loaded.case
     nodes = sorted((*solution.nodes, *between), key=lambda node: node.time_s)

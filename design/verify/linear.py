@@ -134,8 +134,7 @@ def measured(loop: Loop, slosh_peak_db: float) -> Measured:
 def worst_instants(
     nodes_at: Callable[[Sequence[float]], Sequence[Node]], design: Design, times_s: Sequence[float], limits: LoopLimits
 ) -> list[float]:
-    """Return the instants (s) between the first and last operating point of a stage at which a required margin is
-    worst.
+    """Return the instants (s) between operating points of a stage at which a required margin is worst.
 
     An instant is included if a margin there is worse than at every operating point by more than WORSE in its unit. The
     time axis is searched in steps of INSTANTS_S[0], then with smaller steps about the worst instants. Two minima within
@@ -245,11 +244,10 @@ def study(
     stage: str = "",
     trajectories: Sequence[Sequence[Node]] = (),
 ) -> MarginStudy:
-    """Return the margins at all operating points of one plane and stage, for the nominal vehicle, corners and random
-    vehicles.
+    """Return the margins at all operating points of one plane and stage.
 
-    `trajectories` are the operating points in other flights. Vehicle n flies along trajectory n, modulo their number.
-    `campaign` is that of `vehicles`.
+    They are those of the nominal vehicle, the corners and the random vehicles. `trajectories` are the operating points
+    in other flights. Vehicle n flies along trajectory n, modulo their number. `campaign` is that of `vehicles`.
     """
     corners, drawn = vehicles(wanted, nodes[0], campaign)
     dispersed_by = stacked([*corners, *drawn])
@@ -336,10 +334,10 @@ class SweptVehicles:
 def margin_requirements(
     found: MarginStudy, wanted: LinearMargins, again: Callable[[str], str] = lambda label: ""
 ) -> list[JudgedRequirement]:
-    """Return the requirements on margins: nominal limits, dispersed limits at the corners, and the share of random
-    vehicles.
+    """Return the requirements on margins.
 
-    `again` returns the command that measures the vehicle with a given label alone.
+    These are nominal limits, dispersed limits at the corners, and the share of random vehicles that meet them. `again`
+    returns the command that measures the vehicle with a given label alone.
     """
     out = []
     if wanted.only in ("", AS_DESIGNED):
@@ -449,11 +447,10 @@ def meet_limits(values: Array, limits: LoopLimits) -> NDArray[np.bool_]:
 
 
 def percentiles(values: Array, name: str, confidence: float, shares: Sequence[float]) -> Array:
-    """Return the values that at most the given `shares` of all vehicles exceed, with the given confidence, (shares,
-    nodes).
+    """Return the values that at most the given `shares` of all vehicles exceed, (shares, nodes).
 
-    The values are order statistics (tolerance_bound) of (vehicles, nodes, SWEPT), or NaN for too few vehicles. An
-    unstable loop counts as worst.
+    They hold with the given confidence. The values are order statistics (tolerance_bound) of (vehicles, nodes, SWEPT),
+    or NaN for too few vehicles. An unstable loop counts as worst.
     """
     column = values[..., SWEPT.index(name)]
     allowed = [allowed_failures(len(values), 1.0 - share, confidence) for share in shares]
@@ -463,8 +460,10 @@ def percentiles(values: Array, name: str, confidence: float, shares: Sequence[fl
 
 @dataclass(frozen=True)
 class Authority:
-    """The authority at a vehicle time: gimbal angle per angle of attack, and the steady cross-wind that needs the full
-    angle.
+    """The gimbal authority at a vehicle time.
+
+    `ratio` is the gimbal angle per angle of attack in trim, and `wind_mps` the steady cross-wind that needs the full
+    gimbal angle.
     """
 
     time_s: float

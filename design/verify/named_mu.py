@@ -193,8 +193,9 @@ class Within:
 
 
 def stable_within(node: Node, design: Design, campaign: LoadedCampaign) -> Within | None:
-    """Return the bound of the deviations at an operating point, or None for a law with inputs other than the first
-    gyro.
+    """Return the bound of the deviations at an operating point, or None for a law with further inputs.
+
+    A law is supported if its only sensor is the first gyro.
     """
     law = law_at(design, node)
     if any(name not in MEASUREMENTS for name in law.inputs):

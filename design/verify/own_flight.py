@@ -239,8 +239,9 @@ def _problems(
 
 
 def _searched(stage: LoadedCase, loss: Event | None, again: set[int] | None) -> LoadedCase:
-    """Return the case of a search, which is short for a preliminary design and begins at the last design from round 2
-    on.
+    """Return the case of a search.
+
+    The search is short for a preliminary design. From round 2 on, it begins at the last design alone.
     """
     if loss is None and again is None:
         return stage

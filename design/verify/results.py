@@ -28,8 +28,9 @@ MOST_BYTES = 2_000_000_000
 
 @dataclass(frozen=True)
 class Results:
-    """The results of flights, linear measures and measurements in flight. Parts that the suite does not require are
-    empty.
+    """The results of flights, linear measures and measurements in flight.
+
+    Parts that the suite does not require are empty.
     """
 
     flights: tuple[FlownResult, ...]

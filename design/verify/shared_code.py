@@ -37,9 +37,7 @@ def imported_names() -> dict[str, frozenset[str]]:
 
 @cache
 def modules_apart() -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the modules of the linear model without such imports, and the modules of the computer that are not
-    imported.
-    """
+    """Return the modules of the linear model without shared code, and those of the computer not imported."""
     taken = imported_names()
     linear = tuple(name for name, path in _sources(*_LINEAR).items() if not _taken({name: path}))
     computer = (name for name in _sources("control") if not name.startswith(_APART))

@@ -125,7 +125,9 @@ class Verification:
 
     @property
     def merit(self) -> tuple[int, int, float]:
-        """Return the sort key for a ranking: fewer rejected, then fewer undecided requirements, then a larger least
+        """Return the sort key for a ranking, in which a larger key is better.
+
+        The criteria are, in this order, fewer rejected requirements, fewer undecided requirements, and a larger least
         margin.
         """
         rooms = [r.room for r in self.requirements if math.isfinite(r.room)]

@@ -68,11 +68,10 @@ _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 
 @dataclass(frozen=True)
 class WorstVehicle:
-    """The worst vehicle found in a plane of a stage: the scores of its deviations by name, and the outcome of its
-    flight.
+    """The worst vehicle found in a plane of a stage, with its deviations and the outcome of its flight.
 
-    `modulus` is its least |1 + L|, or 0 if it is unstable. `searches` is the number over all operating points. `text`
-    is its scenario (TOML).
+    `sigmas` are the scores of its deviations by name. `modulus` is its least |1 + L|, or 0 if it is unstable.
+    `searches` is the number over all operating points. `text` is its scenario (TOML).
     """
 
     stage: str
@@ -156,12 +155,11 @@ def distance(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[
 
 
 def slope(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
-    """Return a function for |1 + L| at frequencies (Hz) and its derivatives with respect to scores, (frequencies,
-    places).
+    """Return a function for |1 + L| at frequencies (Hz) and its derivatives with respect to scores.
 
-    The derivatives are finite differences with `steps` (places,). L changes with actuator, vehicle and delay,
-    separately for each sensor. The effect of sampling changes little and is held constant; the search measures the loop
-    at its end points.
+    The derivatives have the shape (frequencies, places). The derivatives are finite differences with `steps` (places,).
+    L changes with actuator, vehicle and delay, separately for each sensor. The effect of sampling changes little and is
+    held constant; the search measures the loop at its end points.
     """
     deviations, law, node = deviations_of(campaign, node), law_at(design, node), with_drives_apart(node)
     if any(name in DRIFTS for name in law.inputs):
