@@ -75,8 +75,8 @@ class FilterBounds(Section):
     """The bounds of the filter variables (50), with frequencies in Hz. The paper gives none.
 
     The bounds affect the result. The lowest frequencies are well above the crossover of the rigid body. Lower
-    frequencies would change the gains that (35) and (36) assume, and an optimiser would exploit this. With roots from 1
-    Hz, F4 became a lag network with an objective 8 dB lower.
+    frequencies would change the gains that (35) and (36) assume, and an optimiser would exploit this. With roots from
+    1 Hz, F4 became a lag network with an objective 8 dB lower.
     """
 
     zero_hz: BetweenTimes = optional("of quadratic sections; from twice the crossover", (3.0, 100.0))

@@ -8,10 +8,10 @@ constant, and its parts are under the axial load of the real flight, since unifo
 
 One term differs from the flown instant: gravity times the pitch angle in w' (design/model/held.py). It affects only the
 slowest root and cannot be avoided. A vehicle that keeps its airspeed moves with its air. In a frame that moves with the
-air, all parts fall with the axial load, whatever its cause. For a vehicle that gains speed, an updraught with dW/dt = a
-- g would add the missing part of gravity to w'. The linear model of the held flight, `HeldFlight.node`, contains the
-same term, so that model and flight can be compared exactly. The linear model of the flown instant shows the effect of
-the term, and in_flight.py shows the remaining effect in the ascent.
+air, all parts fall with the axial load, whatever its cause. For a vehicle that gains speed, an updraught with
+dW/dt = a - g would add the missing part of gravity to w'. The linear model of the held flight, `HeldFlight.node`,
+contains the same term, so that model and flight can be compared exactly. The linear model of the flown instant shows
+the effect of the term, and in_flight.py shows the remaining effect in the ascent.
 
 A law with load relief turns into the wind, so that this term becomes a gravity turn. Under several times the real
 gravity, the vehicle topples within seconds. Such a loop is held with `along_body`: gravity acts aft along the vehicle's

@@ -350,8 +350,8 @@ class Lag:
     def change_with_slopes(self, x: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Return the response of lag and differentiation in series, 1/s, and its two derivatives.
 
-        The derivatives are the first and second with respect to x = ln f. Differentiation multiplies by s, or by (1 -
-        1/z) / T in a sampled loop.
+        The derivatives are the first and second with respect to x = ln f. Differentiation multiplies by s, or by
+        (1 - 1/z) / T in a sampled loop.
         """
         (h, h1, h2), s = self.with_slopes(x), np.asarray(2j * np.pi * np.exp(x), np.complex128)
         parts: list[ComplexArray] = [s, s, s]

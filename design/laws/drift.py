@@ -6,8 +6,8 @@ Drift velocity and displacement are positive in the direction in which a positiv
 gains in C are therefore negative, and the command opposes the drift. Frequency and damping ratio of the rigid body (47,
 48) are those of the law without drift feedback. The kernel of the law is control/laws/drift.py.
 
-**Steady wind.** The vehicle (given.py) flies in a steady lateral wind v with the law delta = -k_p theta - k_alpha alpha
-+ k_zd z'. Its steady angle of attack alpha and drift velocity z' satisfy
+**Steady wind.** The vehicle (given.py) flies in a steady lateral wind v with the law delta = -k_p theta - k_alpha
+alpha + k_zd z'. Its steady angle of attack alpha and drift velocity z' satisfy
 
     N alpha = -k_zd v,    z' = v + V (1 + c) alpha,    N = A6 / K1 - k_alpha + k_p c + k_zd V (1 + c),
     c = (a1 V - a3 A6 / K1) / a4,

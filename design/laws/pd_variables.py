@@ -361,8 +361,8 @@ class PdVariables:
         """Return omega (rad/s) and zeta of the rigid body, (plants,), and the gradients of their logarithms.
 
         The gradients are with respect to the own parameters. The characteristic polynomial for "paper" is (35) and
-        (36), s2 + M_delta k_d s + M_delta k_p. For "aerodynamic" (erratum 12) it is s2 + (M_delta k_d - M_q) s +
-        M_delta k_p - M_alpha.
+        (36), s2 + M_delta k_d s + M_delta k_p. For "aerodynamic" (erratum 12) it is s2 + (M_delta k_d - M_q)
+        s + M_delta k_p - M_alpha.
         """
         r, n = self.task.rigid, self.filter.size
         spring, damper = r.m_delta * k_p, r.m_delta * k_d

@@ -4,8 +4,8 @@
 
 The integral is the sum over samples, T z / (z - 1), as the flight computer forms it while its limit is not reached.
 `limits.integral_hz` is the lower bound of the integral's corner frequency, and `limits.most_integral_hz` the upper
-bound. Without the upper bound, an optimum may have a much higher corner than required (ksr3-relaxed with F3: 0.4 to 1.5
-Hz). Frequency and damping ratio of the rigid body (47, 48) are those of the law without its integral. They are
+bound. Without the upper bound, an optimum may have a much higher corner than required (ksr3-relaxed with F3: 0.4 to
+1.5 Hz). Frequency and damping ratio of the rigid body (47, 48) are those of the law without its integral. They are
 meaningful only if the corner frequency is far below that of the rigid body. Stability and margins are those of the
 whole loop. The kernel of the law is control/laws/pid.py.
 """

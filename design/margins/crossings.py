@@ -54,8 +54,8 @@ class GainCrossings:
 class PhaseCrossings:
     """The crossings of the negative real axis, (n,) each.
 
-    Frequencies of 0 and infinity denote limits of L, and the highest frequency of a sampled loop is Nyquist. `turn` is
-    +1 if the curve crosses from above to below (anticlockwise about the origin) and -1 otherwise. It is 0 at the ends,
+    Frequencies of 0 and infinity denote limits of L, and the highest frequency of a sampled loop is Nyquist. The `turn`
+    of a crossing from above to below (anticlockwise about the origin) is +1, and otherwise -1. It is 0 at the ends,
     where the curve reaches the axis but does not cross it.
     """
 

@@ -343,9 +343,9 @@ def course(kind: int, loop: ComplexArray) -> Array:
 def with_extremes(f: Array, loop: ComplexArray, distances: int, source: LoopResponse) -> tuple[Array, ComplexArray]:
     """Return the curve with its turning points added.
 
-    These are the maxima of |L|, and the minima of the first `distances` (0 to 3) of |1 + L|, |1 + 1/L| and |1 + L|/|1 -
-    L|. Of the minima, only those that may be global are included. Extremes of |L| and of the phase are added if they
-    may reach 1 or 180 degrees between two points of the grid.
+    These are the maxima of |L|, and the minima of the first `distances` (0 to 3) of the functions |1 + L|, |1 + 1/L|
+    and |1 + L|/|1 - L|. Of the minima, only those that may be global are included. Extremes of |L| and of the phase are
+    added if they may reach 1 or 180 degrees between two points of the grid.
     """
     n, m, none = len(f), 0, np.zeros((0, 3))
     kinds, points, values = np.empty(7 * n, np.int64), np.empty((7 * n, 3)), np.empty((7 * n, 3))

@@ -1,9 +1,9 @@
 """Lobes: the loops in the Nyquist plane that lightly damped poles cause.
 
 Each lobe is found, named and assessed separately. Near a pole at p = -sigma + j w0, the response is R / (s - p) plus
-the contribution of the rest of the loop. The second difference over the half width, u = 2 L(w0) - L(w0 + sigma) - L(w0
-- sigma), is R / sigma up to the curvature of the rest. For a bending mode, the first term is known
-(`resonance.Resonance.part`).
+the contribution of the rest of the loop. The second difference over the half width, u = 2
+L(w0) - L(w0 + sigma) - L(w0 - sigma), is R / sigma up to the curvature of the rest. For a bending mode, the first term
+is known (`resonance.Resonance.part`).
 
 The lobe is the range in which the term exceeds SHARE times the rest, and at least LEAST half widths on either side. It
 ends where the term of another lobe is larger, and in the valleys of |L| on both sides of its peak. If the own part of a

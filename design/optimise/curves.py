@@ -3,8 +3,8 @@
 The optimiser evaluates peaks, crossings and gradients hundreds of times at a few hundred frequencies, while the law
 changes and the vehicle does not. The exact response is therefore computed once, on a mesh that resolves every
 resonance. Quintic splines over ln f interpolate ln P, and ln of the ratio of each other measurement to P. The mesh is
-halved wherever the spline differs from the exact response by more than `TOLERANCE`. The tolerance corresponds to 2e-6
-dB and 1e-5 deg, far below the resolution of 0.01 of the margins.
+halved wherever the spline differs from the exact response by more than `TOLERANCE`. The tolerance corresponds to
+2e-6 dB and 1e-5 deg, far below the resolution of 0.01 of the margins.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ WIDEST_ZONE = 2.5  # largest value of the zone's function that has a row
 
 
 class FeatureKind(IntEnum):
-    """The kinds of features that the table of the module lists."""
+    """The kinds of features, as listed in the table of the module."""
 
     PEAK = 0
     GAIN_CROSSING = 1

@@ -1,7 +1,7 @@
 """The problem (42) to (50) at a point of the variables: every peak, crossing and limit, with gradients.
 
-All quantities are in decibels. A phase is converted by the ratio of gain margin to phase margin (6 dB for 30 deg: 0.2
-dB/deg), so that violations of different limits are comparable.
+All quantities are in decibels. A phase is converted by the ratio of gain margin to phase margin (6 dB for 30 deg:
+0.2 dB/deg), so that violations of different limits are comparable.
 """
 
 from __future__ import annotations

@@ -430,10 +430,10 @@ def _mass_flow_momentum(vehicle: PlaneVehicle) -> tuple[float, float]:
     """Return the lateral momentum P (kg m/s) and the damping (kg m2/s) of the mass flow per angular rate.
 
     The source is Reynolds' transport theorem with the Coriolis acceleration 2 w x v_rel of the flow through a rotating
-    vessel (W. T. Thomson, Introduction to Space Dynamics, ch. 7). The equations are m a = F - 2 w x P, P = m dc/dt +
-    sum of outflow times position, and I q' = M - (dI/dt + sum of outflow times position^2) q. Positions are forward of
-    the CG, and c is the CG in the body. The gas leaves at the nozzle exit. Liquid also moves from the shrinking bobs to
-    the core.
+    vessel (W. T. Thomson, Introduction to Space Dynamics, ch. 7). The equations are m a = F - 2 w x P, P = m
+    dc/dt + sum of outflow times position, and I q' = M - (dI/dt + sum of outflow times position^2) q. Positions are
+    forward of the CG, and c is the CG in the body. The gas leaves at the nozzle exit. Liquid also moves from the
+    shrinking bobs to the core.
     """
     v, cg = vehicle, vehicle.core_cg_station_m
     exit_place, bob_place, bob_rate = cg - v.exit_station_m, cg - v.pendulums.bob_station_m, v.bob_mass_rate_kgps

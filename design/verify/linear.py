@@ -7,10 +7,10 @@ Random vehicle N is run N of the campaign (design/model/deviations.py), along on
 (`conditions_of`). The compiled margins of design/margins/dispersed.py measure these vehicles. Vehicles with a margin
 within `NEAR` of a limit, and those that the compiled margins do not support, are measured again by `margins`.
 
-Authority: in trim, the moment of the deflected engine balances that of the angle of attack, delta = -(M_alpha /
-M_delta) alpha. A cross-wind W causes an angle of attack alpha = atan(W / U) before the vehicle has drifted. The gimbal
-reaches its limit at a wind of U tan(delta_max |M_delta / M_alpha|). If |M_alpha / M_delta| exceeds three, this happens
-before any stability margin is lost.
+Authority: in trim, the moment of the deflected engine balances that of the angle of attack,
+delta = -(M_alpha / M_delta) alpha. A cross-wind W causes an angle of attack alpha = atan(W / U) before the vehicle has
+drifted. The gimbal reaches its limit at a wind of U tan(delta_max |M_delta / M_alpha|). If |M_alpha / M_delta| exceeds
+three, this happens before any stability margin is lost.
 """
 
 from __future__ import annotations

@@ -263,7 +263,7 @@ class _Look:
 
 
 def _towards(u: Array, goal: Array, share: float, region: Region) -> Array:
-    """Return a point on the way to a goal, which is moved to the surface of an ellipsoid.
+    """Return the point at a fraction of the way to a goal, moved to the surface of an ellipsoidal region.
 
     The worst point is rarely inside an ellipsoid.
     """
