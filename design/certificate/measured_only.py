@@ -272,7 +272,7 @@ def broken(held: HeldFlight, loop: _Loop, what: MarginName, floor_deg: float) ->
 
         def grow(at: float, test: measured_margins.BurstTest = test) -> float:
             growth = measured_margins.measured_growth(held, loop, test, change(at))
-            return math.inf if math.isnan(growth) else growth  # lost
+            return math.inf if math.isnan(growth) else growth  # the flight was lost
 
         slope, bounds = trial.frequency_hz * (20.0 if what == "delay" else 0.05), (0.5 * low, min(1.5 * high, most))
         at, settled = measured_margins.settle(

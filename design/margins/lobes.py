@@ -52,7 +52,7 @@ class Lobe:
 
     label: str
     kind: str  # kind of the resonance, "bending" or "slosh"; empty for an unnamed pole
-    frequency_hz: float  # of the pole
+    frequency_hz: float  # frequency of the pole
     damping_ratio: float
     low_hz: float
     high_hz: float
@@ -262,7 +262,7 @@ def _ends(t: Trace, terms: Array, source: LoopResponse) -> Array:
     which = np.flatnonzero(borders)
     across, ends, values = which // 2 + LOBE, np.empty((len(which), 2)), np.empty((len(which), 2))
     for i in range(len(which)):
-        for p in range(2):  # outside, inside
+        for p in range(2):  # p is 0 outside and 1 inside the lobe
             k = borders[which[i]] - 1 + p * (1 - 2 * (which[i] % 2))
             ends[i, p], values[i, p] = f[k], lobe_excess(which[i] // 2, f[k], loop[k], terms)
     found = solving.roots(across, ends, values, source, terms)

@@ -37,8 +37,8 @@ NAMES = (
     "limit_wind",  # wind profile of the suite's key
     "stage",  # number of the stage, from 0; stage marks and those after ignition only with each_stage
     "outer_engine",  # number of the core engine farthest from the axis, if there are several; only with each_stage
-    "burnout_s",  # of the last stage
-    "sample_s",  # of the first stage's computer
+    "burnout_s",  # burnout of the last stage
+    "sample_s",  # sample period of the first stage's computer
     "longer_s",  # half of the sample, or less if the computer's delay requires it
     "gimbal_limit_deg",  # least angle limit of all actuators and computers
     "gimbal_rate_limit_degps",  # least rate limit of all actuators

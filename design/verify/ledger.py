@@ -149,7 +149,7 @@ class PastAttempt:
     """An attempt in the ledger. The `verdict` of an interrupted or running attempt is "not ended"."""
 
     date: str
-    vehicle: str  # its name
+    vehicle: str  # name of the vehicle
     design: str
     suite: str
     part: str  # part that was verified alone, or ""
