@@ -1,4 +1,4 @@
-"""Operating points along a flight, on the flown vehicle's linear model or on the published equations."""
+"""Operating points along a flight, with the linear model of the flown vehicle or with the published equations."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def nodes(
 ) -> list[Node]:
     """Return the operating points of a scenario's flight in one plane, in the order of `times_s`.
 
-    `scenario` is loaded, a file, or the name of a built-in one. `times_s` are vehicle times, s. None selects times
-    under full thrust, stage by stage (`node_times`). `plant` is the vehicle as flown, or with the derivatives of the
-    paper's Table 2 (design/paper/table2.py). `errata` are switches, or the name of a preset. If an erratum is left in,
-    the plant is the published equations (design/paper). `faults` includes the failures of the scenario. With
-    `held`, gravity is the axial load, as in a certificate's held flight: the vehicle then keeps its speed. Raises
-    ScenarioError, and ValueError for a time outside the powered flight.
+    `scenario` is a loaded scenario, a file, or the name of a built-in one. `times_s` are vehicle times, s; None selects
+    times under full thrust, stage by stage (`node_times`). `plant` is the vehicle as flown, or with the derivatives of
+    the paper's Table 2 (design/paper/table2.py). `errata` are switches, or the name of a preset; with an uncorrected
+    erratum, the plant is that of the published equations (design/paper). `faults` includes the failures of the
+    scenario. With `held`, gravity is the axial load, as in a certificate's held flight, so that the speed is constant.
+    Raises ScenarioError, and ValueError for a time outside the powered flight.
     """
     if plant not in ("flown", "table2"):
         raise ValueError(f"plant = {plant!r}: allowed is flown, table2")
@@ -57,13 +57,13 @@ def published_nodes(
     plant: PlantKind = "flown",
     faults: bool = False,
 ) -> list[PaperNode]:
-    """Return operating points as `nodes` does, on the published planar equations even if no erratum is left in."""
+    """Return operating points as in `nodes`, with the published planar equations even if all errata are corrected."""
     found = paper_nodes(scenario, times_s, plane, preset(errata), faults)
     return imposed(found, read_derivatives()) if plant == "table2" else found
 
 
 def preset(errata: Errata | str) -> Errata:
-    """Return the switches of a preset. Switches themselves are returned unchanged. Raises ValueError."""
+    """Return the switches of a preset. Switches are returned unchanged. Raises ValueError for an unknown preset."""
     if isinstance(errata, Errata):
         return errata
     if errata not in PRESETS:

@@ -1,9 +1,9 @@
-"""The quantities of a loop on which a limit can be set, each defined once with the key that names it in every file.
+"""The quantities of a loop that can be limited, each defined once with its key for all files.
 
-`QUANTITIES` is the table. Case, design file and suite take their keys from the sections below. The judge, the margin
-sweep, the reports and the optimiser (`optimise.criteria`, by key) take label, unit, sense and value from the table. A
-quantity that does not exist in a loop (the peak of an absent mode) is infinite on the good side, so that it meets every
-limit. NaN denotes a margin of an unstable loop, which meets no limit.
+`QUANTITIES` is the table. The sections below define the keys of case, design file and suite. The assessment of designs,
+the margin sweep, the reports and the optimiser (`optimise.criteria`, by key) take label, unit, sense and value from the
+table. A quantity that does not exist in a loop, such as the peak of an absent mode, is infinite on the favourable side
+and meets every limit. NaN denotes a margin of an unstable loop, which meets no limit.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ ZoneName = Literal["none", "ellipse", "diamond", "rectangle"]
 Degrees = Annotated[float, Field(gt=0.0, le=90.0)]
 Negative = Annotated[float, Field(lt=0.0)]
 LAST_MODE = 999
-"""A number beyond that of any bending mode."""
+"""An upper bound for the number of a bending mode."""
 TOLERANCE = 5e-4
-"""The tolerance of a limit in dB and deg. The rounding of the digits of a file is far less."""
+"""The tolerance of a limit in dB and deg, far above the effect of rounded digits in a file."""
 
 
 @dataclass(frozen=True)
 class Convention:
-    """The choices by which quantities are evaluated from a loop."""
+    """The conventions by which quantities of a loop are evaluated."""
 
     rigid_body: RigidBody = "paper"
     slosh_peak_db: float = -6.0
@@ -44,10 +44,10 @@ class MeasuredLoop(Protocol):
         """Return the `margins.measure.Margins` of the loop."""
 
     def mode_peak_db(self, first: int, last: int) -> float:
-        """Return the largest peak of bending modes `first` to `last`, -inf without one."""
+        """Return the largest peak of the bending modes `first` to `last`, or -inf if there is none."""
 
     def mode_phase_deg(self, mode: int) -> float:
-        """Return the phase margin of a mode's lobe, or inf if it is gain-stabilised or absent."""
+        """Return the phase margin of a mode's lobe, or inf if the mode is gain-stabilised or absent."""
 
     def slosh_phase_deg(self, peak_db: float) -> float:
         """Return the least phase margin of slosh lobes with a peak above `peak_db`, or inf without such a lobe."""
@@ -57,17 +57,15 @@ class MeasuredLoop(Protocol):
 
     @property
     def integral_hz(self) -> float:
-        """Return the corner of the law's integral, Hz."""
+        """Return the corner frequency of the law's integral, Hz."""
 
 
 @dataclass(frozen=True)
 class Quantity:
     """A quantity that can be limited.
 
-    `value` evaluates it from a measured loop. None means that it needs more than a loop.
-
-    `heading` is that of a column. `law` is True if the optimiser evaluates the quantity from the law and the vehicle
-    alone.
+    `value` evaluates it from a measured loop, or is None if the loop alone is not sufficient. `heading` is its column
+    heading. `sense` is ">=" for a lower and "<=" for an upper limit.
     """
 
     label: str
@@ -77,23 +75,20 @@ class Quantity:
     value: Callable[[MeasuredLoop, Convention], float] | None = None
 
     def violation(self, value: Any, limit: Any) -> Any:
-        """Return the amount by which a value misses a limit, less the tolerance. See the function `violation`."""
+        """Return the amount by which a value misses a limit, minus the tolerance (see the function `violation`)."""
         return violation(value, limit, self.sense, self.unit)
 
     def badness(self, value: float) -> float:
-        """Return the value with the sign that makes a larger one worse."""
+        """Return the value with a sign such that larger is worse."""
         return value if self.sense == "<=" else -value
 
 
 def violation(value: Any, limit: Any, sense: str, unit: str) -> Any:
-    """Return the amount by which a value misses a limit. At 0 or less, the limit is met. NaN remains NaN.
+    """Return the amount by which a value misses a limit, minus the tolerance. The limit is met at 0 or less.
 
-    A value within the tolerance of its limit meets the limit, since the search places values on limits. TOLERANCE
-    applies in dB and deg, 1e-4 of the limit in other units. simdesign and simverify both judge by this function.
-
-    Args:
-        value, limit: numbers or arrays in `unit`.
-        sense: "<=" or ">=".
+    `value` and `limit` are numbers or arrays in `unit`, and `sense` is "<=" or ">=". The tolerance is TOLERANCE in dB
+    and deg, and 1e-4 of the limit in other units. It is necessary because the search places values on limits. NaN
+    remains NaN. simdesign and simverify both use this function.
     """
     tolerance = TOLERANCE if unit in ("dB", "deg") else 1e-4 * abs(limit)
     return (value - limit if sense == "<=" else limit - value) - tolerance
@@ -104,7 +99,7 @@ def _in_db(ratio: float) -> float:
 
 
 class CommonLimits(Section):
-    """The limits that cases, design files and suites can set. An absent key sets none."""
+    """The limits that cases, design files and suites can set. An absent key sets no limit."""
 
     gain_margin_db: Annotated[
         Positive | None, Quantity("gain margin", "gain dB", "dB", ">=", lambda j, _: j.margins.gain_db)
@@ -175,7 +170,7 @@ class LoopLimits(CommonLimits):
 
 
 def _declared(section: type[Section]) -> dict[str, Quantity]:
-    """Return the quantities in the annotations of the fields of a section, by key."""
+    """Return the quantities in the annotations of a section's fields, by key."""
     found = {key: [m for m in about.metadata if isinstance(m, Quantity)] for key, about in section.model_fields.items()}
     return {key: marks[0] for key, marks in found.items() if marks}
 
@@ -185,7 +180,7 @@ def _integral_hz(loop: MeasuredLoop, _: Convention) -> float:
 
 
 MEASURED = _declared(LoopLimits)
-"""The quantities that the margins of a loop give, by key, in the order of reports."""
+"""The quantities that follow from the margins of a loop, by key, in the order of reports."""
 SWEPT = (
     "gain_up_db",
     "gain_down_db",
@@ -195,7 +190,7 @@ SWEPT = (
     "first_mode_phase_deg",
     "modes_from_2_db",
 )
-"""The quantities of dispersed vehicles: fields of `margins.many.MEASURES`, the delay there in s."""
+"""The quantities of dispersed vehicles, which are fields of `margins.many.MEASURES` (with the delay in s)."""
 QUANTITIES: dict[str, Quantity] = MEASURED | {
     "unstable_poles": Quantity("unstable poles", "unstable", "", "<="),
     "zone": Quantity("Nichols zone", "zone", "", ">="),

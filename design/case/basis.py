@@ -1,5 +1,4 @@
-"""The basis of a design: the plant, the loop, the operating points and the limits under which a law is designed and
-verified.
+"""The basis of a design: the plant, loop, operating points and limits with which a law is designed and verified.
 
 A case is a basis with an optimisation problem. A design file contains the basis of its law in `[basis]`, or one basis
 per stage in `[stage.basis]`. `stated_basis` reads it.
@@ -31,7 +30,7 @@ BETWEEN = (
     "paper"
 )
 WIND_KEYS = ("q_alpha_Padeg", "drift_mps", "bending_moment")
-"""The limits that need a wind."""
+"""The limits that require a wind."""
 
 
 def check_range(value: BetweenTimes, key: str, lowest: float) -> None:
@@ -48,7 +47,7 @@ def check_rising(values: tuple[float, ...], key: str) -> None:
 
 
 class SectionLimit(Section):
-    """A station and its limit of the bending moment."""
+    """A limit on the bending moment at one station."""
 
     station_m: float = Field(description="one of the stage's loads.stations_m, m aft of the nose")
     rms_Nm: Positive = Field(description="largest rms in the wind of [wind], N m")
@@ -119,7 +118,7 @@ class Limits(MarginLimits, DesignLimits):
 
 
 class CaseWind(Section):
-    """The lateral wind for the limits of load and drift: a spectrum of MIL-F-8785C."""
+    """The lateral wind for the limits of load and drift, with a spectrum of MIL-F-8785C."""
 
     sigma_mps: Positive = Field(description="intensity, m/s")
     length_v_m: Positive = optional("scale length, m", 533.0)
@@ -144,12 +143,12 @@ class DispersedLimits(MarginLimits):
 
 
 class Robust(Spread):
-    """The dispersed plants for which the design must meet its limits. Half ranges are relative unless a unit is named.
+    """The dispersed plants for which the design must meet its limits. Half ranges are relative unless a unit is given.
 
-    Every mode and every tank deviates independently. The defaults are 3-sigma ranges after a modal survey: bending 5,
-    10, 15 %, slopes 20 %. The plants are corners at which all parameters deviate simultaneously: n deviations of one
-    sigma each have a distance of sqrt(n) sigma. If parameters are correlated, the corners are those of the underlying
-    independent scores and are equally probable.
+    Every mode and every tank deviates independently. The defaults are 3-sigma ranges after a modal survey: 0.05, 0.10
+    and 0.15 for the frequencies of bending modes, and 0.20 for their slopes. The plants are corners at which all
+    parameters deviate simultaneously: n deviations of one sigma each have a distance of sqrt(n) sigma. If parameters
+    are correlated, the corners are those of the underlying independent scores and are equally probable.
     """
 
     where: ClassVar[tuple[str, str]] = ("case", "robust")
@@ -199,13 +198,13 @@ class Basis(Section):
 
     @property
     def bends(self) -> bool:
-        """Return True if bending moments are limited."""
+        """Return True if a bending moment is limited."""
         return len(self._stations_m(())) > 0
 
     def bending_stations_m(self, known: tuple[float, ...]) -> tuple[float, ...]:
-        """Return the stations at which bending moments are required in one stage, which has the stations `known`.
+        """Return the stations at which bending moments are required in a stage with the stations `known`.
 
-        Raises ValueError for a station that is not in `known`.
+        Raises ValueError for a required station that is not in `known`.
         """
         asked = self._stations_m(known)
         if not asked <= set(known):
@@ -217,18 +216,18 @@ class Basis(Section):
         return tuple(sorted(asked))
 
     def _stations_m(self, known: tuple[float, ...]) -> set[float]:
-        del known  # the objective of a case may apply to all of them
+        del known  # `Case` overrides this method; its objective may apply to all known stations
         limits: list[LoadLimits] = [self.limits, *([] if self.robust is None else [self.robust.limits])]
         return {one.station_m for each in limits for one in each.bending_moment}
 
     def as_table(self) -> dict[str, Any]:
-        """Return the basis as it is written to a design file, without the keys that set nothing."""
+        """Return the basis as the table of a design file, without keys that have no effect."""
         table: dict[str, Any] = _what_sets(plain(told(self)))
         return table
 
 
 def _what_sets(value: Any) -> Any:
-    """Return a table without the keys that set nothing and without the limits that are not set."""
+    """Return a table without keys that have no effect and without limits that are not set."""
     if not isinstance(value, dict):
         return value
     left_out = value.get("without", ())
@@ -238,7 +237,7 @@ def _what_sets(value: Any) -> Any:
 def limit_of(limits: LoadLimits, key: str | float) -> Any:
     """Return a limit by its key, or the limit of a bending moment by its station (m).
 
-    Return None if the limit is not set.
+    Returns None if the limit is not set.
     """
     if isinstance(key, str):
         return None if key in getattr(limits, "without", ()) else getattr(limits, key)
@@ -246,9 +245,9 @@ def limit_of(limits: LoadLimits, key: str | float) -> Any:
 
 
 def stated_basis(design: Design, stage: int = 0, label: str = "") -> Basis | None:
-    """Return the basis that a design states for a stage, counted from 0, or None if the design states no basis.
+    """Return the basis that a design states for a stage, counted from 0, or None without a basis.
 
-    Raises ScenarioError for an invalid basis. The message names the file by `label`.
+    Raises ScenarioError for an invalid basis; the message refers to the file by `label`.
     """
     given = design.of_stage(stage).basis
     if given is None:

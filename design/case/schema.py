@@ -1,6 +1,6 @@
-"""The schema of case files, and functions that read them.
+"""The schema of case files, and the functions that read them.
 
-A case states the optimisation problem of Lee, Ahn & Roh, equations (42) to (50), with extensions.
+A case defines the optimisation problem of Lee, Ahn & Roh, equations (42) to (50), with extensions.
 
     loaded = read_case("ksr3-identical", ["filter.structure='F6'"])
 
@@ -43,7 +43,7 @@ ObjectiveName = Literal["first-mode-peak", "least-margin", "load", "bending-mome
 """The keys of `design.optimise.criteria.OBJECTIVES`."""
 
 Model = TypeVar("Model", bound=Section)
-CORNER = 0.1  # of the lowest rigid-body frequency: corner of the integral if the case gives none
+CORNER = 0.1  # default corner of the integral relative to the lowest rigid-body frequency
 
 
 class CaseGains(Section):
@@ -72,11 +72,11 @@ class CaseGains(Section):
 
 
 class FilterBounds(Section):
-    """The bounds of the variables of the filter (50), with frequencies in Hz. The paper gives none.
+    """The bounds of the filter variables (50), with frequencies in Hz. The paper gives none.
 
-    The bounds affect the result. The frequencies begin well above the crossover of the rigid body. Lower frequencies
-    would change the gains that (35) and (36) assume, and an optimiser exploits this. With roots from 1 Hz, F4 became a
-    lag network and was 8 dB lower.
+    The bounds affect the result. The lowest frequencies are well above the crossover of the rigid body. Lower
+    frequencies would change the gains that (35) and (36) assume, and an optimiser would exploit this. With roots from
+    1 Hz, F4 became a lag network with an objective 8 dB lower.
     """
 
     zero_hz: BetweenTimes = optional("of quadratic sections; from twice the crossover", (3.0, 100.0))
@@ -97,7 +97,7 @@ class FilterBounds(Section):
 
 
 class FilterSections(Section):
-    """The structure of a filter."""
+    """The structure of a filter, as numbers of sections."""
 
     structure: DesignedStructure = optional(
         "F2 to F6: of the paper (37 to 41); sections: numbers given by quadratic and first_order", "F4"
@@ -113,12 +113,12 @@ class FilterSections(Section):
 
     @property
     def sections(self) -> tuple[int, int]:
-        """Return the numbers of quadratic and of first-order sections."""
+        """Return the numbers of quadratic and first-order sections."""
         return STRUCTURES.get(self.structure, (self.quadratic or 0, self.first_order or 0))
 
 
 class CaseFilter(FilterSections):
-    """The structure of the bending filter."""
+    """The structure, schedule and bounds of the bending filter."""
 
     prewarp_hz: Positive | None = optional(
         "frequency at which the discrete filter equals the continuous one, Hz (default: mean frequency of mode 1)"
@@ -137,7 +137,7 @@ class CaseFilter(FilterSections):
 
 
 class CaseLoopFilters(Section):
-    """The filters of the inputs of the law, by loop, with the bounds and the prewarping of [filter]."""
+    """The filters of the law's inputs, one for each loop, with the bounds and the prewarping of [filter]."""
 
     attitude: FilterSections | None = optional("filter of the attitude error")
     rate: FilterSections | None = optional("filter of the (blended) rate")
@@ -147,7 +147,7 @@ class CaseLoopFilters(Section):
 
     @property
     def each(self) -> tuple[tuple[int, int], ...]:
-        """Return the numbers of quadratic and of first-order sections of each filter."""
+        """Return the numbers of quadratic and first-order sections of each filter."""
         return tuple((0, 0) if f is None else f.sections for f in (self.attitude, self.rate, self.acceleration))
 
 
@@ -174,14 +174,14 @@ class ObjectiveSection(Section):
 
 
 class ReferencePhase(Section):
-    """The settings of phase 1 of the two-phase design: the smallest gains, linear in time, that meet these limits."""
+    """The limits of phase 1 of the two-phase design, which finds the smallest gains, linear in time, that meet them."""
 
     rigid_hz: Positive = optional("natural frequency at every operating point, Hz (paper, 5.1)", 0.5)
     rigid_zeta: Positive = optional("damping ratio at every operating point (paper, 5.1)", 0.7)
 
 
 class SearchSettings(Section):
-    """The settings of the optimiser's search, for example the number of starts."""
+    """The settings of the optimiser's search."""
 
     starts: Annotated[int, Field(ge=1, le=1000)] = optional("number of starts of the whole problem", 8)
     leaps: Annotated[int, Field(ge=0, le=1000)] = optional(
@@ -194,7 +194,7 @@ class SearchSettings(Section):
 
 
 class StageCase(Section):
-    """The keys that differ in a stage and replace those of the case."""
+    """The keys that replace those of the case in one stage."""
 
     gains: CaseGains | None = optional("see [gains]")
     filter: CaseFilter | None = optional("see [filter]")
@@ -213,7 +213,7 @@ class CaseHead(Section):
 
 
 class Case(Basis, CaseHead):
-    """A case file of designs/cases/."""
+    """The contents of a case file (designs/cases/)."""
 
     earlier: ClassVar[dict[str, str]] = {"between_nodes": "ignore"}
 
@@ -261,7 +261,7 @@ class Case(Basis, CaseHead):
         objective = {"load": WIND_KEYS[0], "bending-moment": WIND_KEYS[2]}.get(self.objective.kind)
         if objective is not None and self.wind is None:
             raise refuse("needs a wind", "a table [wind]", ("objective", "kind"))
-        small_m = self.objective.stations_m  # a limit of a moment may apply to another station
+        small_m = self.objective.stations_m  # a limit on a moment may apply to another station
         made_small = small_m is None or any(one.station_m in small_m for one in self.limits.bending_moment)
         if objective is not None and made_small and getattr(self.limits, objective) not in (None, ()):
             raise refuse("is the objective", "no limit of it", ("limits", objective))
@@ -292,18 +292,18 @@ class Case(Basis, CaseHead):
         return super()._stations_m(known) | set(self.objective_stations_m(known))
 
     def objective_stations_m(self, known: tuple[float, ...]) -> tuple[float, ...]:
-        """Return the stations at which the bending moment is minimised."""
+        """Return the stations at which the bending moment is minimised, among the stations `known` of a stage."""
         if self.objective.kind != "bending-moment":
             return ()
         return known if self.objective.stations_m is None else self.objective.stations_m
 
     def integral_hz(self, times_s: Any) -> float:
-        """Return the lowest corner frequency (Hz) of the integral of the law pid at vehicle times (s)."""
+        """Return the lowest corner frequency (Hz) of the integral of a law with an integral, at vehicle times (s)."""
         least = self.limits.integral_hz
         return CORNER * float(at_time(self.limits.rigid_hz, times_s).min()) if least is None else least
 
     def basis(self, scenario: str, nodes_s: tuple[float, ...]) -> Basis:
-        """Return the basis of a design of this case: the imposed limits at the operating points of one stage.
+        """Return the basis of a design of this case, with the imposed limits at the operating points of one stage.
 
         The limits of a two-phase design include the rigid-body motion of [reference]. `scenario` is the name of the
         scenario.
@@ -318,7 +318,7 @@ class Case(Basis, CaseHead):
 
     @property
     def times_s(self) -> tuple[float, ...]:
-        """Return the vehicle times (s) of the operating points of a case of one stage (`optimise.solve.each_stage`)."""
+        """Return the vehicle times (s) of the operating points of a case with one stage (`solve.each_stage`)."""
         assert self.nodes_s is not None
         return self.nodes_s
 
@@ -333,7 +333,7 @@ class Case(Basis, CaseHead):
 
 
 def _laid_over(below: Model, over: Section) -> Model:
-    """Return a section with the keys of another section laid over it, recursively for nested sections."""
+    """Return a section with keys replaced by those set in another section, recursively for nested sections."""
     update = {}
     for key in over.model_fields_set:
         mine, value = getattr(below, key), getattr(over, key)
@@ -343,9 +343,9 @@ def _laid_over(below: Model, over: Section) -> Model:
 
 @dataclass(frozen=True)
 class LoadedCase:
-    """A case, and its scenario or its points.
+    """A case, with its scenario or its points.
 
-    `flight` provides the operating points; its default is the scenario with its own design.
+    `flight` provides the operating points. The default is the scenario with its own design.
     """
 
     case: Case
@@ -361,7 +361,7 @@ class LoadedCase:
 
     @property
     def scenario(self) -> LoadedScenario:
-        """Return the scenario. Raises ValueError for a case of points, which has none."""
+        """Return the scenario. Raises ValueError for a case of points, which has no scenario."""
         if self.base is None:
             raise ValueError("the case has points in place of a scenario: it has no vehicle and no flight")
         return self.base
@@ -373,9 +373,9 @@ class LoadedCase:
 
 
 def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
-    """Read the case in a file, or the built-in case of that name, with `key=value` overrides. Raises ScenarioError.
+    """Return the case in a file, or the built-in case of that name, with `key=value` overrides. Raises ScenarioError.
 
-    The scenario is searched for in the folder of the case, then as `load_scenario` does.
+    The scenario is first searched for in the folder of the case, then as in `load_scenario`.
     """
     case, tree, file, label, _ = load_file(Case, "case", name, overrides)
     if case.points is not None:
@@ -392,7 +392,7 @@ def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
         case = case.model_copy(update={"robust": case.robust.model_copy(update=update)})
     try:
         scenario = load_scenario(flown)
-        if case.bends:  # its masses along the body are those of the vehicle
+        if case.bends:  # checks that the vehicle has its masses along the body
             load_scenario(flown, ["switches.section_loads=true"])
     except ScenarioError as error:
         if error.file == case.scenario:  # the name itself is invalid

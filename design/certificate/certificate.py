@@ -1,6 +1,4 @@
-"""The margin certificate of a design: linear, sampled and measured margins at each operating point and in each
-plane.
-"""
+"""The margin certificate of a design: linear, sampled and measured margins at each operating point, in each plane."""
 
 from __future__ import annotations
 
@@ -27,21 +25,23 @@ from maxq.sim.scenario.loader import LoadedScenario
 
 PLANES: tuple[Plane, ...] = ("pitch", "yaw")
 MARGIN_WITHIN_DB, DELAY_WITHIN = 0.2, 0.02
-NOISE_WITHIN_DB, NOISE_WITHIN = 0.5, 0.05  # for rows in which the two agree to the above tolerance without rounding
+NOISE_WITHIN_DB, NOISE_WITHIN = 0.5, 0.05  # tolerances of rows that agree within those above without rounding
 HELD_GRAVITY = "frozen-point gravity"
 
 
 @dataclass(frozen=True)
 class MarginRow:
-    """A margin in `unit`: of the linear loop at the flown instant (continuous and sampled), of the linear loop of the
-    held flight, and measured in the held flight.
+    """A margin of the linear loop, at the flown instant and in the held flight, and its measurement.
 
+    `unit` is the unit of all values. `pade` and `sampled` are those of the continuous and the sampled loop at the flown
+    instant. `held` is that of the linear loop of the held flight, and `measured` that of the held flight itself.
     `reason` is "" if flight and linear loop agree. Any other text states the fault, except for these:
 
-    - "frozen-point gravity": they agree, but the margin at the flown instant differs. The axial load acts on the
-      slowest root in the held flight, and gravity in the ascent.
-    - "longer than can be inserted": a delay margin of more samples than the computer's filter can hold, not measured.
-    - "converter noise": they agree without rounding and differ by less than 0.5 dB or 5 % with rounding.
+    - "frozen-point gravity": they agree, but the margin at the flown instant differs. The slowest root is affected by
+      the axial load in the held flight, and by gravity in the ascent.
+    - "longer than can be inserted": a delay margin of more samples than the computer's filter can hold. It is not
+      measured.
+    - "converter noise": they agree without rounding, and differ by less than 0.5 dB or 5 % with rounding.
 
     `what` is "gain_up", "gain_down", "delay" or "drift". A drift (1/s) is the growth rate of the slowest root of a loop
     that is stable at the flown instant and unstable in the held flight.
@@ -58,7 +58,7 @@ class MarginRow:
 
     @property
     def difference(self) -> float:
-        """Return the measured margin less the linear margin, both in the held flight."""
+        """Return the measured minus the linear margin, both in the held flight."""
         return self.measured - self.held
 
     @property
@@ -70,10 +70,9 @@ class MarginRow:
 class NodeCertificate:
     """The certificate of an operating point at a total gain of 1.
 
-    `stable` is True if the loop at the flown instant is stable. `cycle` describes how a held loop ends in flight if it
-    is unstable by more than a drift. `total_gain_db` gives the range of the adaptive total gain, downwards and upwards.
-
-    `differs` is the message of external flight code that fails the replay check, or "".
+    `stable` is True if the loop at the flown instant is stable. If the held loop is unstable by more than a drift,
+    `cycle` describes the end of its flight. `total_gain_db` is the range of the adaptive total gain, downwards and
+    upwards. `differs` is the message of external flight code that fails the replay check, or "".
     """
 
     time_s: float
@@ -87,7 +86,7 @@ class NodeCertificate:
     differs: str = ""
 
     def total_gain_room_db(self, end: int) -> float:
-        """Return the gain margin beyond the least (`end` 0) or the largest (1) total gain.
+        """Return the gain margin beyond the least (`end` 0) or the largest (1) total gain, dB.
 
         The margin is the measured one, or that of the linear loop if none was measured. It is minus infinity for a loop
         without margins.
@@ -99,7 +98,7 @@ class NodeCertificate:
 
     @property
     def unexplained(self) -> tuple[str, ...]:
-        """Return a description of the differences that have no reason, or "" if flight and linear loop agree."""
+        """Return a description of each difference without a reason; empty if flight and linear loop agree."""
         if self.differs:
             return (f"the flight code {self.differs}",)
         r = self.responses
@@ -141,11 +140,9 @@ def certify(
 ) -> list[NodeCertificate]:
     """Return the certificates of the scenario's design, ordered by operating point, then plane.
 
-    The number of workers does not change the result.
-
-    `times_s` are vehicle times; None selects times that suit the flight (`operating_points.nodes`). `one` certifies an
-    operating point, by default `certify_node`. `along` is the scenario whose flight provides the speed and the air of
-    the operating points, by default the same scenario.
+    `times_s` are vehicle times; None selects times that suit the flight (`operating_points.nodes`). `workers` does not
+    change the result. `one` certifies an operating point, by default `certify_node`. `along` is the scenario whose
+    flight provides speed and air at the operating points, by default the same scenario.
     """
     times = node_times(along or loaded) if times_s is None else tuple(times_s)
     found = [operating_points.nodes(along or loaded, times, plane=plane) for plane in planes]
@@ -163,11 +160,9 @@ def certify_node(
 ) -> NodeCertificate:
     """Return the certificate at one operating point, in its plane.
 
-    Raises ValueError if the point cannot be held (held_flight.py), and CodeLost if external flight code does not fly
-    there.
-
-    `fault` alters the flights and not the linear model, to test that the certificate detects the fault. `bands` and
-    `names` select the responses and the margins to be measured.
+    `fault` alters the flights but not the linear model, in order to test that the certificate detects the fault.
+    `bands` and `names` select the responses and the margins to be measured. Raises ValueError if the point cannot be
+    held (held_flight.py), and CodeLost if external flight code does not reach it.
     """
     try:
         return _certified(loaded, node, fault, bands, names)
@@ -228,10 +223,11 @@ def _certified(
 
 
 def _with_noise(row: MarginRow, fine: MarginRow) -> MarginRow:
-    """Return a row that disagrees, remeasured without rounding.
+    """Return a row that disagrees, with converter noise as its reason if that explains the difference.
 
-    Near the stability boundary, converter counts sustain an oscillation, and its growth rate is then unreliable.
-    Rounding is the cause if the row without rounding agrees and the row with rounding differs little.
+    `fine` is the same row without rounding. Near the stability boundary, converter counts sustain an oscillation, so
+    that its growth rate is unreliable. Rounding is the cause if the row without rounding agrees and the row with
+    rounding differs little.
     """
     near = abs(row.difference) <= (NOISE_WITHIN_DB if row.unit == "dB" else NOISE_WITHIN * row.held)
     return dataclasses.replace(row, reason=NOISE) if fine.agrees and near else row

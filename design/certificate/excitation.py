@@ -6,8 +6,8 @@ Identification, ch. 2).
 
 The level is high relative to the converter's counts and low relative to every limit. The linear loop predicts the
 response of engine, angle of attack and gyro to the injected lines. The lines are shaped for equal response at the gyro,
-within bounds. They are then scaled so that gimbal command, servo rate and angle of attack stay at a stated share of the
-limits of linearity of the simulator.
+within bounds. They are then scaled so that gimbal command, servo rate and angle of attack remain at a stated fraction
+of the simulator's limits of linearity.
 """
 
 from __future__ import annotations
@@ -28,23 +28,21 @@ from maxq.design.model.node import Node
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.scenario.schema_scenario import Injection
 
-MOST_LEVELS, MOST_TONES = 16, 64  # of the simulator: simultaneous signals, tones of each
-DITHER_HZ = (0.525, 0.825)  # off the slosh of the built-in vehicles, where a loop responds without resonance
+MOST_LEVELS, MOST_TONES = 16, 64  # limits of the simulator: simultaneous signals, tones per signal
+DITHER_HZ = (0.525, 0.825)  # away from the slosh frequencies of the built-in vehicles, without resonances of the loop
 SHARE_OF_LIMITS = 0.85
 SHARE_OF_BURST = 0.4
 INCIDENCE_RAD = 0.004  # small relative to the angle of attack at which cross-flow lift adds a tenth to the slope
-SPREAD = 20.0  # between the strongest and the weakest line
+SPREAD = 20.0  # largest ratio of the strongest to the weakest line
 DITHER_COUNTS = 6.0  # largest increment per sample of each dither tone, in pulses
 LOWEST_BURST_HZ = 0.05
 
 Groups = list[tuple[float, Array]]
-"""The amplitudes (rad), each with its lines (Hz)."""
+"""Amplitudes (rad), each with its lines (Hz)."""
 
 
 class Excited(Protocol):
-    """The known parts of an excited loop: the response of the vehicle, and L from a linear model or from an earlier
-    measurement.
-    """
+    """An excited loop: the response of its vehicle, and L from a linear model or an earlier measurement."""
 
     @property
     def fixed(self) -> FixedPath: ...
@@ -57,7 +55,7 @@ class LineBand:
     """The lines (Hz) of an excitation, each an even multiple of 1 / `period_s`, and its duration.
 
     The odd multiples are not excited and contain only noise. One long period is better than many short ones: the
-    rounding of the converter repeats with the signal and is spread over all bins of the period.
+    rounding of the converter repeats with the signal, and is spread over all bins of the period.
 
     `dithered` marks lines that are too weak at the gyro for the converter, which carries its remainder over. A signal
     of less than one pulse per sample then vanishes or appears as whole pulses, depending on the remainder. A linear
@@ -73,15 +71,17 @@ class LineBand:
 
     @property
     def duration_s(self) -> float:
-        """Return the duration (s) with a margin of one second, since the last command takes effect after the last
-        sample.
+        """Return the duration (s).
+
+        It includes a margin of one second, because the last command takes effect after the last sample.
         """
         return self.settle_s + self.period_s * self.periods + 1.0
 
     @property
     def dither_hz(self) -> Array:
-        """Return tones at odd multiples of 1 / `period_s`, which spread rounding errors over odd and even multiples
-        alike.
+        """Return dither tones (Hz) at odd multiples of 1 / `period_s`.
+
+        They spread rounding errors equally over odd and even multiples.
         """
         odd = 2.0 * np.round(0.5 * (np.array(DITHER_HZ) * self.period_s - 1.0)) + 1.0
         return np.asarray(odd / self.period_s) if self.dithered else np.zeros(0)
@@ -90,9 +90,9 @@ class LineBand:
 def band(
     low_hz: float, high_hz: float, lines: int, period_s: float, settle_s: float, periods: int, dithered: bool = False
 ) -> LineBand:
-    """Return about `lines` lines from low to high, evenly spaced on a logarithmic scale.
+    """Return a band of about `lines` lines from low to high, evenly spaced on a logarithmic scale.
 
-    Raises ValueError if the lowest line does not fit the period.
+    Raises ValueError if the period is too short for the lowest line.
     """
     if low_hz * period_s < 2.0 - 1e-9:
         raise ValueError(f"low_hz = {low_hz}: allowed is at least {2.0 / period_s:g}, two turns a period")
@@ -102,7 +102,7 @@ def band(
 
 
 def below(bands: tuple[LineBand, ...], highest_hz: float) -> tuple[LineBand, ...]:
-    """Return the band with the lines that a computer of this sample rate can send."""
+    """Return the bands with only those lines that are sufficiently below the Nyquist frequency `highest_hz`."""
     kept = (dataclasses.replace(band, lines_hz=band.lines_hz[band.lines_hz < 0.995 * highest_hz]) for band in bands)
     return tuple(band for band in kept if len(band.lines_hz))
 
@@ -111,7 +111,7 @@ def below(bands: tuple[LineBand, ...], highest_hz: float) -> tuple[LineBand, ...
 class ExcitationLevel:
     """The amplitudes with their lines, and the largest gimbal command and servo rate that the linear loop predicts.
 
-    `servo_radps` is the rate that the servo commands and the actuator limits. `dither` is added at its own amplitudes.
+    `servo_radps` is the commanded servo rate, which the actuator limits. `dither` is added at its own amplitudes.
     """
 
     groups: Groups
@@ -137,8 +137,9 @@ def excitation_level(held: HeldFlight, loop: Excited, band: LineBand, scale: flo
 
 
 def dither(held: HeldFlight, loop: Excited, tones_hz: Array) -> Groups:
-    """Return slow tones that each make `DITHER_COUNTS` pulses per sample at the gyro, within limits, or no tones
-    without rounding.
+    """Return slow tones that each cause `DITHER_COUNTS` pulses per sample at the gyro, within limits.
+
+    The result is empty without rounding.
     """
     count = float(held.packed.parameters[0].computer.converter.count_rad)
     if not len(tones_hz) or count == 0.0:
@@ -154,7 +155,7 @@ def dither(held: HeldFlight, loop: Excited, tones_hz: Array) -> Groups:
 
 
 def grouped(amplitude_rad: Array, lines_hz: Array) -> Groups:
-    """Return the amplitudes, grouped in at most half of `MOST_LEVELS` levels.
+    """Return the amplitudes, grouped into at most half of `MOST_LEVELS` levels.
 
     The levels are geometric. The amplitude of a level is the least amplitude of its lines.
     """
@@ -172,7 +173,7 @@ def grouped(amplitude_rad: Array, lines_hz: Array) -> Groups:
 
 
 def phasors(groups: Groups) -> tuple[Array, ComplexArray]:
-    """Return the lines (Hz) and phasors (rad) of the sum that the simulator injects: Im sum a exp(j 2 pi f t)."""
+    """Return the lines (Hz) and phasors (rad) of the injected sum Im sum a exp(j 2 pi f t)."""
     lines, out = [np.zeros(0)], [np.zeros(0, np.complex128)]
     for amplitude, members in groups:
         number = np.arange(1, len(members) + 1)  # phases as in sim/packing/computer.py
@@ -182,13 +183,13 @@ def phasors(groups: Groups) -> tuple[Array, ComplexArray]:
 
 
 def gimbal_injection(axis: str, kind: str, amplitude_rad: float, **more: Any) -> Injection:
-    """Return a signal added to the gimbal command, as a scenario states it. `more` contains the fields of its kind."""
+    """Return a signal added to the gimbal command, as in a scenario. `more` contains the fields of its kind."""
     given = {"at": "gimbal_command", "axis": axis, "kind": kind, "amplitude_deg": math.degrees(amplitude_rad)}
     return Injection.model_validate(given | more)
 
 
 def injections(groups: Groups, axis: str) -> tuple[Injection, ...]:
-    """Return the groups as multisines."""
+    """Return the groups as multisine signals about an axis."""
     return tuple(
         gimbal_injection(axis, "multisine", amplitude, frequencies_hz=tuple(float(f) for f in lines))
         for amplitude, lines in groups
@@ -196,7 +197,7 @@ def injections(groups: Groups, axis: str) -> tuple[Injection, ...]:
 
 
 def sine_burst(held: HeldFlight, frequency_hz: float, scale: float = 1.0) -> Injection:
-    """Return three periods of a sine at `scale` times the amplitude of `burst_rad`, at no less than LOWEST_BURST_HZ."""
+    """Return three periods of a sine at `scale` times the amplitude of `burst_rad`, at LOWEST_BURST_HZ or above."""
     hz = max(frequency_hz, LOWEST_BURST_HZ)
     return sine(held, hz, scale * burst_rad(held, frequency_hz), 3.0 / hz)
 
@@ -204,8 +205,8 @@ def sine_burst(held: HeldFlight, frequency_hz: float, scale: float = 1.0) -> Inj
 def sine(held: HeldFlight, frequency_hz: float, amplitude_rad: float, stop_s: float) -> Injection:
     """Return a sine that starts immediately and has the given duration.
 
-    Near half the sample rate, it starts a quarter period late. At half the sample rate, all samples of a sine with
-    phase zero are 0.
+    Close to half the sample rate, it starts a quarter period late. At half the sample rate, all samples of a sine with
+    zero phase are 0.
     """
     late_s = 0.25 / frequency_hz if frequency_hz > 0.45 / held.sample_s else 0.0
     times = {"start_s": round(late_s, 9), "stop_s": round(stop_s, 6)}
@@ -215,15 +216,15 @@ def sine(held: HeldFlight, frequency_hz: float, amplitude_rad: float, stop_s: fl
 def burst_rad(held: HeldFlight, frequency_hz: float, growth: float = 1.0) -> float:
     """Return the amplitude (rad) of a burst at one frequency.
 
-    The burst stays far below every limit, even if the loop amplifies it by `growth`.
+    The burst remains far below every limit, even if the loop amplifies it by `growth`.
     """
     return SHARE_OF_BURST * min(linear_room(held, frequency_hz)) / growth
 
 
 def linear_room(held: HeldFlight, frequency_hz: float) -> tuple[float, float]:
-    """Return the amplitudes (rad) of the gimbal command at a frequency that reach the limits.
+    """Return the amplitudes (rad) of the gimbal command at a frequency at which limits are reached.
 
-    The limits are a share of the linear range of actuator and computer, and INCIDENCE_RAD.
+    The first limit is a fraction of the linear range of actuator and computer, and the second is INCIDENCE_RAD.
     """
     line = np.array([max(frequency_hz, LOWEST_BURST_HZ)])
     servo, incidence = (float(np.abs(x[..., 0]).max()) for x in _servo_and_incidence(held.node, line))
@@ -232,13 +233,14 @@ def linear_room(held: HeldFlight, frequency_hz: float) -> tuple[float, float]:
 
 
 def _peaks(held: HeldFlight, loop: Excited, groups: Groups, band: LineBand) -> tuple[float, float, float]:
-    """Return the largest command (rad), servo rate (rad/s) and angle of attack (rad) over a period, by the linear
-    loop.
+    """Return the largest command (rad), servo rate (rad/s) and angle of attack (rad) over a period.
+
+    They are predicted by the linear loop.
     """
     lines, injected = phasors(groups)
     command = injected / (1.0 + loop.response(lines))
     servo, incidence = _servo_and_incidence(held.node, lines)
-    # a single long transform replaces a sum of sines: the bins are the multiples of 1 / period
+    # a single long transform replaces a sum of sines; its bins are the multiples of 1 / period
     bins = np.round(lines * band.period_s).astype(int)
     samples = 2 * max(round(band.period_s / held.sample_s), int(bins.max()) + 1)
 
@@ -253,8 +255,8 @@ def _peaks(held: HeldFlight, loop: Excited, groups: Groups, band: LineBand) -> t
 def _servo_and_incidence(node: Node, lines_hz: Array) -> tuple[ComplexArray, ComplexArray]:
     """Return the servo rate and the angle of attack per gimbal command.
 
-    The servo rate of each drive has the shape (drives, lines), in 1/s, as if all drives had the lowest rate limit
-    (sim/vehicle/actuator/kernel.py). The angle of attack is w / U.
+    The servo rate of each drive has the shape (drives, lines), in 1/s. It is scaled as if all drives had the lowest
+    rate limit (sim/vehicle/actuator/kernel.py). The angle of attack is w / U.
     """
     s = np.asarray(2j * np.pi * lines_hz, np.complex128)
     records, inputs = node.instruments.actuators, node.plant.inputs
@@ -270,7 +272,7 @@ def _servo_and_incidence(node: Node, lines_hz: Array) -> tuple[ComplexArray, Com
         angle = actuator(record).channel("delta_rad", "command_rad", lines_hz)
         followed = 1.0 / (1.0 + x * (2.0 * record.zeta_1 + x))
         commanded = record.omega_1_radps / (2.0 * record.zeta_1) * (1.0 - followed)
-        ahead = angle / followed if record.limits_on_engine else np.ones_like(s)  # sections upstream of the servo
+        ahead = angle / followed if record.limits_on_engine else np.ones_like(s)  # sections before the servo
         share = 1.0 if math.isinf(lowest) else lowest / record.rate_limit_radps
         servos.append(gain * share * ahead * commanded)
         incidence = incidence + angle * per_angle

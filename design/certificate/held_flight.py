@@ -1,25 +1,25 @@
 """The held flight: the nonlinear simulator with vehicle, gains, air and speed frozen at one instant.
 
-A linear model has frozen coefficients, but a rocket in flight loses mass, gains speed and leaves the air. Two
+A linear model has frozen coefficients, but a rocket in flight loses mass, gains speed and leaves the atmosphere. Two
 measurements need minutes of flight at constant conditions: a frequency response over many periods of 0.05 Hz, and the
-growth of a loop close to its stability boundary. Therefore, the vehicle's tables are frozen and the air is uniform. The
-vehicle flies straight up over a flat Earth whose uniform gravity equals its axial specific force. Its speed is
+growth of a loop close to its stability boundary. The vehicle's tables are therefore frozen, and the air is uniform. The
+vehicle flies straight up over a flat Earth with uniform gravity equal to its axial specific force. Its speed is
 constant, and its parts are under the axial load of the real flight, since uniform gravity acts on every particle alike.
 
-One term differs from the flown instant: gravity times the pitch angle in w' (design/model/held.py). It affects the
-slowest root alone and cannot be avoided. A vehicle that keeps its airspeed moves with its air. In a frame that moves
-with the air, all parts fall with the axial load, whatever its cause. (For a vehicle that gains speed, an updraught with
-dW/dt = a - g adds the missing part of gravity to w'.) The linear model of the held flight, `HeldFlight.node`, contains
-the same term, so that the two can be compared to the last digit. The linear model of the flight itself shows the effect
-of the term, and in_flight.py shows the remaining effect in the ascent.
+One term differs from the flown instant: gravity times the pitch angle in w' (design/model/held.py). It affects only the
+slowest root and cannot be avoided. A vehicle that keeps its airspeed moves with its air. In a frame that moves with the
+air, all parts fall with the axial load, whatever its cause. For a vehicle that gains speed, an updraught with
+dW/dt = a - g would add the missing part of gravity to w'. The linear model of the held flight, `HeldFlight.node`,
+contains the same term, so that model and flight can be compared exactly. The linear model of the flown instant shows
+the effect of the term, and in_flight.py shows the remaining effect in the ascent.
 
 A law with load relief turns into the wind, so that this term becomes a gravity turn. Under several times the real
 gravity, the vehicle topples within seconds. Such a loop is held with `along_body`: gravity acts aft along the vehicle's
-axis in every attitude, on every particle as before. Then w' contains no such term, in flight and in `HeldFlight.node`.
+axis in every attitude, equally on every particle. Then w' contains no such term, in flight and in `HeldFlight.node`.
 
-The damping of ring baffles depends on the wave height, and the excitation sets this height. Therefore, the baffles are
-frozen too, at their damping in the flown swing. `rings_by_law` keeps their dependence on the wave (response.py compares
-both with the linear loop).
+The damping of ring baffles depends on the wave height, which the excitation determines. The baffles are therefore
+frozen at their damping in the flown swing. `rings_by_law` keeps their dependence on the wave (response.py compares both
+with the linear loop).
 """
 
 from __future__ import annotations
@@ -52,26 +52,26 @@ from maxq.sim.scenario.schema_scenario import Geodetic, Guidance, Initial, Injec
 from maxq.sim.world.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K
 from maxq.sim.world.earth import ALONG_BODY
 
-ALTITUDE_M = 1.0e6  # high enough never to reach the ground; the air does not depend on the altitude
-DETUNED = 0.02  # share of half the bandwidth of a mode, its damping ratio times its frequency
+ALTITUDE_M = 1.0e6  # high enough to avoid the ground; the air is independent of altitude
+DETUNED = 0.02  # largest frequency error relative to the half bandwidth of a mode, zeta omega
 _MOST_TAPES = 4
 _NOSE_UP_DEG = (0.0, 90.0, 0.0)
 
 
 PackedChange = Callable[[Packed], None]
-"""A function that alters a packed flight in place."""
+"""A function that changes a packed flight in place."""
 
 
 def unchanged(packed: Packed) -> None:
-    """Apply no fault."""
+    """Leave a packed flight unchanged, as the default without a fault."""
 
 
 @dataclass(frozen=True)
 class HeldFlight:
-    """A scenario held at the time of its operating point, packed. `run` and `fly` fly copies of it.
+    """A packed scenario held at the time of its operating point. `run` and `fly` use copies of it.
 
-    `node` is its linear model, in `plane`. `fault` alters every flight and not the linear model; it plants a fault for
-    tests.
+    `node` is its linear model, in `plane`. `fault` changes every flight but not the linear model, for tests of fault
+    detection.
     """
 
     loaded: LoadedScenario
@@ -79,11 +79,11 @@ class HeldFlight:
     node: Node
     plane: Plane
     fault: PackedChange = unchanged
-    tape: Tape | None = None  # of external flight code, in its own flight
+    tape: Tape | None = None  # record of external flight code in its own flight
 
     @property
     def axis(self) -> int:
-        """Return the index of the gimbal axis."""
+        """Return the index of the gimbal axis, 0 for pitch and 1 for yaw."""
         return 0 if self.plane == "pitch" else 1
 
     @property
@@ -91,7 +91,7 @@ class HeldFlight:
         return self.node.instruments.sample_s
 
     def run(self, duration_s: float, injections: tuple[Injection, ...], change: PackedChange = unchanged) -> FlightRun:
-        """Return a new flight with signals injected. `change` may alter the packed parameters before the flight.
+        """Return a new flight with injected signals. `change` may alter the packed parameters before the flight.
 
         Only the changed parameters are packed again, since packing the tables takes longer than the flight.
         """
@@ -108,7 +108,7 @@ class HeldFlight:
         return FlightRun(dataclasses.replace(self.loaded, scenario=scenario), packed, held=windows)
 
     def windows(self, tape: Tape, packed: Packed) -> CodeWindows:
-        """Return the windows in which external flight code flies a packed flight."""
+        """Return the windows of the tape in which external flight code flies a packed flight."""
         computer, stage = packed.parameters[0].computer, np.flatnonzero(tape.inputs["stage"] == self.node.stage)
         count_rad = Setup.from_buffer_copy(tape.setup).count_rad
         return CodeWindows(
@@ -126,9 +126,10 @@ class HeldFlight:
     def fly(
         self, duration_s: float, injections: tuple[Injection, ...], change: PackedChange = unchanged
     ) -> tuple[FlightRun, Array]:
-        """Run the flight to its end, with the arguments of `run`.
+        """Run a flight to its end, with the arguments of `run`.
 
-        Return the flight and its rows at the computer's sample rate (samples, channels).
+        Returns the flight and its rows at the computer's sample rate, (samples, channels). Raises CodeDiffers if
+        external flight code fails the replay check.
         """
         run = self.run(duration_s, injections, change)
         rows = fast_rows(run)
@@ -138,11 +139,14 @@ class HeldFlight:
 
 
 class CodeDiffers(Exception):
-    """Flight code that gives other commands for the inputs of its flight: the message says where."""
+    """An error for flight code that returns other commands for the inputs of its own flight.
+
+    The message states the time.
+    """
 
 
 class CodeLost(ValueError):
-    """A flight of external flight code that ends before an operating point."""
+    """An error for a flight of external flight code that ends before an operating point."""
 
 
 def raise_if_differing(run: FlightRun) -> None:
@@ -157,7 +161,10 @@ _tapes: dict[str, Tape] = {}
 
 
 def tape_at(loaded: LoadedScenario, node: Node) -> Tape:
-    """Return the tape of the scenario's flight code, recorded once. Raises CodeLost if it ends before the point."""
+    """Return the tape of the scenario's flight code, which is recorded once.
+
+    Raises CodeLost if the flight of the code ends before the operating point.
+    """
     with _recording:
         if loaded.as_flown not in _tapes:
             _tapes[loaded.as_flown] = record(loaded)
@@ -173,7 +180,7 @@ def tape_at(loaded: LoadedScenario, node: Node) -> Tape:
 def fast_rows(run: FlightRun) -> Array:
     """Fly to the end and return all rows of the fast channels, (rows, channels).
 
-    `run.table.index(name)` gives a column.
+    `run.table.index(name)` is the column of a channel.
     """
     kept = GrowingRows()
     while not run.finished:
@@ -182,7 +189,7 @@ def fast_rows(run: FlightRun) -> Array:
 
 
 def with_ideal_converters(loaded: LoadedScenario) -> LoadedScenario:
-    """Return the scenario without counts and quantisation steps."""
+    """Return the scenario without counting and quantisation."""
     switches = loaded.scenario.switches.model_copy(update={"converter": "ideal"})
     return dataclasses.replace(loaded, scenario=loaded.scenario.model_copy(update={"switches": switches}))
 
@@ -195,14 +202,13 @@ def hold(
     along_body: bool = False,
     rings_by_law: bool = False,
 ) -> HeldFlight:
-    """Hold the scenario at an operating point of its flight, in the plane of the point.
+    """Return the scenario held at an operating point of its flight, in the plane of the point.
 
-    `along_body` removes the gravity turn.
-
-    Valid under thrust: of several stages, the stage that burns at the operating point is held alone. Raises ValueError
-    if the axial load is not positive. Raises ValueError if the scenario has neither a design nor external flight code.
-    External flight code flies the scenario first; in the held flight it receives the inputs of that flight with the
-    deviations of the held one (sim/run/held_code.py). Raises CodeLost if that flight ends before the operating point.
+    `along_body` removes the gravity turn. Only the stage that burns at the operating point is held. External flight
+    code first flies the scenario. In the held flight, it receives the inputs of that flight plus the deviations of the
+    held flight (sim/run/held_code.py). Raises ValueError if the axial load is not positive, or if the scenario has
+    neither a design nor external flight code. Raises CodeLost if the flight of the code ends before the operating
+    point.
     """
     scenario, computer = loaded.scenario, loaded.vehicle.computer
     external = computer is not None and computer.law == "external"
@@ -229,7 +235,7 @@ def hold(
 
 
 def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, object]:
-    """Return the changes of the scenario."""
+    """Return the changes of the scenario that hold it at constant conditions."""
     air = node.condition
     temperature = (air.airspeed_mps / air.mach) ** 2 / (HEAT_RATIO * GAS_CONSTANT_Jpkg_K) if air.mach > 0 else 288.15
     fast = 1.0 / node.instruments.sample_s
@@ -263,11 +269,11 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
 
 
 def _step_s(scenario: Scenario, node: Node) -> float:
-    """Return the scenario's step, or one at which the integrator changes no mode by more than DETUNED of its bandwidth.
+    """Return the scenario's step, or a smaller one that changes no mode by more than DETUNED of its half bandwidth.
 
-    The integrator lowers a frequency by the share (w h)^4 / 120 (docs/model.md, section 10). At 80 Hz and 1 ms this is
-    a tenth of the half bandwidth of a mode with a damping ratio of 0.005. A loop that is sampled at 100 Hz shows the
-    mode at 20 Hz.
+    The integrator lowers a frequency by the fraction (w h)^4 / 120 (docs/model.md, section 10). At 80 Hz and 1 ms, this
+    is a tenth of the half bandwidth of a mode with a damping ratio of 0.005. In a loop sampled at 100 Hz, this mode
+    appears at 20 Hz.
     """
     modes = zip(node.vehicle.omega_radps, node.vehicle.damping_ratio, strict=True)
     most_s = min(((120.0 * DETUNED * zeta) ** 0.25 / omega for omega, zeta in modes if zeta > 0.0), default=math.inf)
@@ -276,9 +282,7 @@ def _step_s(scenario: Scenario, node: Node) -> float:
 
 
 def linear_limits(held: HeldFlight) -> tuple[float, float]:
-    """Return the gimbal command (rad) and the commanded servo rate (rad/s) at which actuator or computer cease to be
-    linear.
-    """
+    """Return the gimbal command (rad) and the servo rate (rad/s) up to which actuator and computer are linear."""
     actuator, computer = held.node.instruments.actuator, held.loaded.scenario.vehicle.computer_of(0)
     command = math.inf if computer is None else math.radians(computer.command_limit_deg)
     if actuator.ideal:

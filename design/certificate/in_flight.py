@@ -1,13 +1,13 @@
 """The in-flight response: the loop measured in the ascent itself, while mass, speed, air and gains change.
 
-The ascent is flown twice without adaptation, once with the excitation and once without, and the difference is
-evaluated. Guidance, wind and path cancel, and the response to the excitation remains. In a window around the time of
-the operating point, least squares estimate the lines of a multisine together with a slow trend. The window is short, so
-only lines of half a hertz and more can be resolved.
+The ascent is flown twice without adaptation, once with and once without the excitation. In the difference of both
+flights, guidance, wind and path cancel, and the response to the excitation remains. In a window around the time of the
+operating point, least squares estimate the lines of a multisine together with a slow trend. The window is short, so
+that only lines above half a hertz can be resolved.
 
 The response differs from that of the held flight for two reasons, which the linear loop accounts for. First, the
-vehicle changes during the window; the sampled loop at operating points across the window gives the change. Where that
-does not explain a line, the loop is advanced along the ascent (time_varying.py). Second, gravity is the real one, which
+vehicle changes during the window; sampled loops at operating points across the window give this change. Where that does
+not explain a line, the loop is advanced along the ascent (time_varying.py). Second, gravity is the real one, which
 affects the lowest lines only.
 """
 
@@ -40,26 +40,26 @@ from maxq.sim.scenario.schema_scenario import Injection, LogSection
 
 WINDOW_S = 8.0
 SETTLE_S = 2.5  # after liftoff
-ACROSS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # of a window: points of the linear loop
+ACROSS = (-0.5, -0.25, 0.0, 0.25, 0.5)  # operating points of the linear loop, relative to the window
 LINES_HZ = tuple(n / WINDOW_S for n in (4, 7, 11, 18, 29, 46, 62, 74, 90))  # 0.5 .. 11 Hz
-SPACING_S = 0.5  # of operating points between which the loop along the ascent is linear in time
-TIME_CONSTANTS = 5.0  # for which it is advanced before a window: what is left of its start is 0.7 %
-COMMAND_DEG = 0.35  # upper bound of each line; fewer than half of any limit together
+SPACING_S = 0.5  # between the operating points of the loop along the ascent, which is linear in time between them
+TIME_CONSTANTS = 5.0  # for which this loop is advanced before a window; 0.7 % of an initial motion remains
+COMMAND_DEG = 0.35  # upper bound of each line; all lines together use less than half of any limit
 WITHIN_DB, WITHIN_DEG = 0.5, 4.0
 TIME_VARIATION, SETTLING = "time variation", "settling"
 
 
 @dataclass(frozen=True)
 class InFlightResponse:
-    """The response L at lines (Hz), measured in the ascent around `time_s`, and the sampled loop at that instant,
-    `frozen`.
+    """The response L at lines (Hz), measured in the ascent around `time_s`.
 
-    `reason` is "" if the two agree to 0.5 dB and 4 deg. Otherwise it is one of:
+    `frozen` is the sampled loop at that instant. `reason` is "" if both agree to 0.5 dB and 4 deg. Otherwise it is one
+    of:
 
     - "time variation": the loop's own change in the window is as large as the difference, or the loop that is advanced
       along the ascent gives the measured response to 0.5 dB and 4 deg.
-    - "converter noise": this change and the standard errors together explain the difference, or flights with ideal
-      converters leave no difference.
+    - "converter noise": this change and the standard errors together explain the difference, or the difference vanishes
+      in flights with ideal converters.
     - "settling": an oscillation near a line has not decayed since liftoff.
     - "unexplained".
     """
@@ -69,7 +69,7 @@ class InFlightResponse:
     lines_hz: Array
     frozen: ComplexArray
     measured: ComplexArray
-    error: Array  # standard error of `measured` relative to it, from the residual
+    error: Array  # relative standard error of `measured`, from the residual
     reason: tuple[str, ...]
 
     @property
@@ -85,8 +85,8 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
     """Measure the response around each time.
 
     Two ascents serve all times of a stage: one without excitation, and one excited from the stage's ignition on. The
-    earlier stages fly without excitation. A coasting airframe that is unstable would otherwise amplify the remaining
-    motion until control is lost.
+    earlier stages fly without excitation. An unstable airframe in a coast would otherwise amplify the remaining motion
+    until control is lost. Raises ValueError for a scenario without a design.
     """
     design = loaded.design
     if design is None:
@@ -97,10 +97,10 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
 def in_flight_response_of_code(
     loaded: LoadedScenario, held: Mapping[float, ComplexArray], plane: Plane
 ) -> list[InFlightResponse]:
-    """Measure the response of flight code around each time, and compare it with that of held flights at LINES_HZ.
+    """Measure the response of flight code around each time, for comparison with that of held flights at LINES_HZ.
 
-    `frozen` is then the response in the held flight. Of the loop's change in the window, only that of the vehicle is
-    known, and of its poles those of the vehicle without feedback.
+    `held` contains the responses in held flights by time, which become `frozen`. Of the loop's change in the window,
+    only that of the vehicle is known, and of its poles only those of the vehicle without feedback.
     """
 
     def of(nodes: Sequence[Node]) -> list[_ResponseOfCode]:
@@ -119,7 +119,10 @@ class _Response(Protocol):
 
 @dataclass(frozen=True)
 class _ResponseOfCode:
-    """The loop of flight code at a node near that of a held flight: measured there, with the vehicle of this node."""
+    """The loop of flight code at an operating point close to that of a held flight.
+
+    It is the response measured in the held flight, multiplied by the ratio of the paths at both points.
+    """
 
     path: FixedPath
     there: FixedPath
@@ -151,7 +154,7 @@ def _of_stage(
     times_s, sample_s = [node.time_s for node in points], points[0].instruments.sample_s
     whole = powered_spans(loaded)
     for time_s in times_s:
-        _window(time_s, whole)  # rejected before it is flown
+        _window(time_s, whole)  # raises an error before any flight
     start_s = round(min(span.begin_s for span in whole if any(map(span.holds, times_s))), 9)
     lines = np.array(LINES_HZ)
     lasting = {"frequencies_hz": LINES_HZ, "start_s": start_s}
@@ -162,14 +165,14 @@ def _of_stage(
     windows = [_window(t, spans) for t in times_s]
     across = [tuple(t + share * (w[1] - w[0]) for share in ACROSS) for t, w in zip(times_s, windows, strict=True)]
     begun_s = [next(span.begin_s for span in spans if span.holds(t)) for t in times_s]
-    excited_by = loaded.scenario.model_copy(update={"injection": (signal,)})  # sets the waves of rings
+    excited_by = loaded.scenario.model_copy(update={"injection": (signal,)})  # determines the waves at rings
 
     def excited_nodes(at_s: Sequence[float]) -> list[Node]:
         nodes = operating_points.nodes(loaded, at_s, plane=plane)
         return with_swings(nodes, dataclasses.replace(loaded, scenario=excited_by))
 
     nodes = excited_nodes([x for each in across for x in each])
-    sents = excited.command[1:] - quiet.command[1:]  # shows after its tick
+    sents = excited.command[1:] - quiet.command[1:]  # logged after its tick
     backs = (excited.filtered - quiet.filtered)[: len(sents)]
     injected = sents - backs
     out = []
@@ -217,17 +220,16 @@ def variation_share(reasons: Sequence[str], ratios: ComplexArray) -> tuple[str, 
 
 
 def converters_share(reasons: Sequence[str], fine: Sequence[str]) -> tuple[str, ...]:
-    """Return the reasons of lines.
+    """Return the reasons of lines, with unexplained differences attributed to the converters where appropriate.
 
-    A difference that is explained with infinitely fine counts and steps (`fine`) is due to the converters.
-
-    The errors of converters repeat with the excitation, so that they occur on its lines and not between them.
+    A difference is due to the converters if it is explained in flights with ideal converters (`fine`). Errors of
+    converters repeat with the excitation, so that they occur on its lines and not between them.
     """
     return tuple(NOISE if a == UNEXPLAINED != b else a for a, b in zip(reasons, fine, strict=True))
 
 
 def _half(time_s: float, span: Span) -> float:
-    """Return half the length of the window about a time."""
+    """Return half the length of the window about a time, s."""
     return min(0.5 * WINDOW_S, time_s - span.begin_s - SETTLE_S, span.end_s - time_s - 0.1)
 
 
@@ -237,7 +239,10 @@ def fits(time_s: float, spans: Sequence[Span]) -> bool:
 
 
 def _window(time_s: float, spans: Sequence[Span]) -> tuple[float, float]:
-    """Return the window about a time, of equal length on both sides."""
+    """Return the start and end of the symmetric window about a time, s.
+
+    Raises ValueError if the time is too close to the ends of thrust.
+    """
     if not fits(time_s, spans):
         least, allowed = SETTLE_S + 0.2 * WINDOW_S, []
         for span in spans:
@@ -253,9 +258,9 @@ def _window(time_s: float, spans: Sequence[Span]) -> tuple[float, float]:
 def _amplitude_deg(loaded: LoadedScenario) -> float:
     """Return the amplitude of each line.
 
-    The sum of the amplitudes stays below the share of every stage's gimbal rate and angle that a burst may use.
+    The sum of all lines remains below the fraction of every stage's gimbal rate and angle that a burst may use.
     """
-    together = math.sqrt(2.0 * len(LINES_HZ))  # crest of many sines
+    together = math.sqrt(2.0 * len(LINES_HZ))  # crest factor of many sines
     actuators = [actuator for stage in loaded.vehicle.stage for actuator in stage.actuators]
     by_rate = [a.rate_limit_degps * 2.0 * a.zeta[0] / (2.0 * math.pi * a.omega_hz[0]) for a in actuators]
     return min([COMMAND_DEG, *(SHARE_OF_BURST * rate / together for rate in by_rate)])
@@ -263,8 +268,9 @@ def _amplitude_deg(loaded: LoadedScenario) -> float:
 
 @dataclass(frozen=True)
 class _Ascent:
-    """The filter output and gimbal command (deg) of an ascent, one entry per sample from time zero, and the powered
-    spans of the stages.
+    """The filter output and gimbal command (deg) of an ascent, one entry per sample from time zero.
+
+    `spans` are the powered spans of the stages.
     """
 
     filtered: Array
@@ -293,7 +299,7 @@ def _flown(
 def _at_lines(samples: Array, lines_hz: Array, sample_s: float) -> tuple[ComplexArray, float]:
     """Return the phasors at the lines, and the standard deviation of each, estimated from the residual.
 
-    The least-squares fit includes a cubic trend and weights that taper at both ends.
+    The least-squares fit includes a cubic trend, with weights that taper at both ends.
     """
     n = len(samples)
     time = sample_s * np.arange(n)
@@ -316,5 +322,5 @@ def _reason(ratio: complex, error: float, spread_db: float, spread_deg: float, r
         return TIME_VARIATION
     if rings:
         return SETTLING
-    noise = NOISE_SIGMAS * error * abs(ratio)  # `error` is relative to the measured, `ratio` to the linear loop
+    noise = NOISE_SIGMAS * error * abs(ratio)  # `error` is relative to the measurement, and `ratio` to the linear loop
     return NOISE if abs(ratio - 1.0) <= noise + 10.0 ** (spread_db / 20.0) - 1.0 else UNEXPLAINED

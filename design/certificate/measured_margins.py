@@ -1,14 +1,14 @@
-"""Margins measured in flight: the gain is raised, the gain is lowered, or delay is added until the loop grows.
+"""Margins measured in flight: gain is raised, gain is lowered, or delay is added until the loop grows.
 
 The nonlinear simulator flies a held flight (held_flight.py) with the loop altered inside its flight computer. A burst
 at the critical frequency excites the loop, and the growth rate of its free response is measured. The margin is the
-alteration at which that rate is zero. The secant rule finds it, starting from the margin of the linear loop. Near the
-stability boundary, the rate is nearly linear in the alteration. Three or four flights thus give the margin to a few
-hundredths of a dB.
+alteration for which that rate is zero. The secant rule finds it, starting from the margin of the linear loop. Near the
+stability boundary, the rate is nearly linear in the alteration, so that three or four flights determine the margin to a
+few hundredths of a dB.
 
-Some loops have no measurable margin. A slowly growing root is measured by its rate (`drift`). A loop that grows faster
-is described by its end, a limit cycle or the loss of the vehicle (`limit_cycle`). If slosh is unstable by the linear
-loop, its amplitude is judged instead of a margin.
+Some loops have no measurable margin. A slowly growing root is measured by its rate (`drift`). A faster growth is
+described by its end, a limit cycle or the loss of the vehicle (`limit_cycle`). If slosh is unstable in the linear loop,
+its amplitude is assessed instead of a margin.
 """
 
 from __future__ import annotations
@@ -39,29 +39,29 @@ UNITS: dict[MarginName, str] = {"gain_up": "dB", "gain_down": "dB", "delay": "s"
 MARGIN_NAMES: tuple[MarginName, ...] = tuple(UNITS)
 
 MOST_FLIGHTS = 10
-DRIFT_HZ = 0.02  # a critical frequency below it is that of the drift, which gravity affects (held_flight.py)
-SLOWEST_HZ = 0.004  # an oscillation below it is not visible in a flight of minutes, a real root is
-BEYOND_DB = 6.0  # range beyond its boundary in which a root must stay slow to be too slow to be seen
-DITHER_ABOVE_HZ = 2.0  # undithered, the converter sustains an oscillation of some pulses half a dB inside the boundary
-FINE_BELOW_HZ = 0.25  # far below the dither's tones; commands of few steps of the converter are dithered, too
-# such a command, and the amplitude of its dither's weaker tone, as far as the limits permit: under tones of A and of B
-# steps, rounding has a mean gain of 1 + 2 J0(2 pi A) J0(2 pi B) cos(2 pi x) at x steps, an error of 0.2 % for 50 and 79
+DRIFT_HZ = 0.02  # lower critical frequencies belong to the drift, which gravity affects (held_flight.py)
+SLOWEST_HZ = 0.004  # slower oscillations are not visible in a flight of minutes, but a real root is
+BEYOND_DB = 6.0  # range beyond the boundary in which a root must remain slow to count as too slow
+DITHER_ABOVE_HZ = 2.0  # without dither, the converter sustains an oscillation of some pulses 0.5 dB inside the boundary
+FINE_BELOW_HZ = 0.25  # far below the dither tones; commands of few converter steps are also dithered
+# size of such a command, and largest amplitude of the weaker dither tone. With tones of A and B steps, rounding has a
+# mean gain of 1 + 2 J0(2 pi A) J0(2 pi B) cos(2 pi x) at x steps, which is an error of 0.2 % for 50 and 79 steps.
 FEW_STEPS, FINE_STEPS = 100.0, 50.0
-FINE_SHARE = 0.2  # of that room
-RINGS_UP = 4.0  # growth factor of a burst in the loop at its boundary, which sets its length unless that is too long
+FINE_SHARE = 0.2  # fraction of the linear range for the dither
+RINGS_UP = 4.0  # growth factor of a burst at the stability boundary, which determines the length of the burst
 LONGEST_BURST_S = 6.0
 TOO_LONG = "longer than can be inserted"  # reason for a delay margin that is not measured
 UNBOUNDED = "nothing bounds it"
-TOO_SMALL = "commands less than a step of the converter"  # reason for a margin of very low gain: not measured
-TOO_SLOW = "grows too slowly to be seen"  # reason for a margin that a slow root bounds and a flight cannot show
+TOO_SMALL = "commands less than a step of the converter"  # reason for a margin at very low gain that is not measured
+TOO_SLOW = "grows too slowly to be seen"  # reason for a margin bounded by a slow root, which is not visible in flight
 NOT_MEASURED = UNBOUNDED, TOO_LONG, TOO_SMALL, TOO_SLOW
 NOT_SETTLED = "not settled"
-SATURATED = math.inf  # growth rate if limits are met before it can be measured
-DECAYED = -math.inf  # if the response has decayed before
-SLOWEST_1PS = 1.0 / 160.0  # of a drift: e-fold within the longest flight of a certificate
-FASTEST_UNSEEN_1PS = SLOWEST_1PS + 1.0 / 48.0  # a uniform drift is t at the time t, from the end of the wait on
-WATCHED_S = 240.0  # for a limit cycle
-STEADY = 0.01  # largest relative difference between the last two quarters of a settled limit cycle
+SATURATED = math.inf  # growth rate if limits are reached before it can be measured
+DECAYED = -math.inf  # growth rate if the response decays before it can be measured
+SLOWEST_1PS = 1.0 / 160.0  # slowest drift: an e-fold within the longest flight of a certificate
+FASTEST_UNSEEN_1PS = SLOWEST_1PS + 1.0 / 48.0  # adds the growth rate 1 / t of a uniform drift at the end of the wait
+WATCHED_S = 240.0  # duration of flights for limit cycles
+STEADY = 0.01  # largest relative difference between the last two quarters of a steady limit cycle
 _LEAST_WINDOWS = 6
 _STEP_DB = 0.1
 
@@ -70,7 +70,7 @@ _STEP_DB = 0.1
 class BurstTest:
     """An excitation burst and the free response after it. All times are in s."""
 
-    frequency_hz: float  # 0: a step, and the response of a real root
+    frequency_hz: float  # 0 for a step and the response of a real root
     burst_s: float
     wait_s: float
     watch_s: float
@@ -83,14 +83,15 @@ class BurstTest:
 
 
 def burst_test(frequency_hz: float, build_up_1ps: float = 0.0) -> BurstTest:
-    """Return a burst of at least three periods, a waiting time of six and an observation time of 25 s and 24 periods.
+    """Return a burst at a frequency, with the waiting and observation times after it.
 
-    Below LOWEST_BURST_HZ, where periods are long, the numbers are a third of these. A real root has a step and 160 s.
-
-    `build_up_1ps` is the rate at which a burst builds up at the stability boundary (`build_up_rate`).
+    The burst lasts at least three periods, the waiting time six periods, and the observation at least 25 s and 24
+    periods. Below LOWEST_BURST_HZ, where periods are long, waiting and observation are a third of these. For a real
+    root, the burst is a step of 8 s, followed by 160 s. `build_up_1ps` is the rate at which a burst builds up at the
+    stability boundary (`build_up_rate`).
     """
     if frequency_hz < SLOWEST_HZ:
-        return BurstTest(0.0, 8.0, 40.0, 120.0, 40.0 / 3.0)  # whole periods of the dither's tones in a window
+        return BurstTest(0.0, 8.0, 40.0, 120.0, 40.0 / 3.0)  # a window contains whole periods of the dither tones
     turn, slow = 1.0 / frequency_hz, frequency_hz < excitation.LOWEST_BURST_HZ
     burst_s = max(3.0 * turn, min(RINGS_UP / build_up_1ps if build_up_1ps > 0.0 else 0.0, LONGEST_BURST_S))
     wait_s, watch_s = (2.0 * turn, 8.0 * turn) if slow else (6.0 * turn, max(25.0, 24.0 * turn))
@@ -100,9 +101,10 @@ def burst_test(frequency_hz: float, build_up_1ps: float = 0.0) -> BurstTest:
 
 @dataclass(frozen=True)
 class MeasuredMargin:
-    """A margin by the linear loop and by flight, in `unit`, and the flights from which it was determined.
+    """A margin of the linear loop and its measurement in flight, in `unit`, with the flights that determined it.
 
-    `tried` contains alteration and measured growth (1/s). `measured` is NaN, with a `reason`, if no boundary was found.
+    `tried` contains pairs of alteration and measured growth rate (1/s). `measured` is NaN, with a `reason`, if no
+    boundary was found.
     """
 
     what: MarginName
@@ -119,12 +121,12 @@ class MeasuredMargin:
 
 
 def bound_of(of: Margins, what: MarginName) -> LeastValue:
-    """Return a margin of the linear loop by name."""
+    """Return a margin of the linear loop by its name."""
     return {"gain_up": of.gain_up_db, "gain_down": of.gain_down_db, "delay": of.delay_s}[what]
 
 
 def measure_margin(held: HeldFlight, loop: Loop, of_loop: Margins, what: MarginName) -> MeasuredMargin:
-    """Find the margin in flight, unless the linear loop is unstable or its margin is infinite."""
+    """Return the margin measured in flight, unless the linear loop is unstable or its margin is infinite."""
     bound = bound_of(of_loop, what)
     linear, frequency = float(bound.value), float(bound.frequency_hz)
     tried: list[tuple[float, float]] = []
@@ -169,8 +171,9 @@ def settle(
 ) -> tuple[float, bool]:
     """Return the alteration at which the loop neither grows nor decays, and True if the search converged.
 
-    `grow` flies an alteration and returns its growth rate (1/s). NaN ends the search with NaN. `tried` collects both.
-    `slope` and `most` are as in `following_trial`. `within` gives the bounds of the alteration.
+    `grow` flies an alteration and returns its growth rate (1/s); NaN ends the search with NaN. `tried` collects pairs
+    of both. `at` is the first alteration. `slope` and `most` are those of `following_trial`. `within` are the bounds of
+    the alteration.
     """
     for _ in range(flights):
         growth = grow(at)
@@ -185,10 +188,9 @@ def settle(
 
 
 def is_too_slow(loop: Loop, what: MarginName, bound: LeastValue) -> bool:
-    """Return True if a slow oscillation bounds the margin and does not grow e-fold in any flight, for any change of the
-    gain.
+    """Return True if the margin is bounded by an oscillation that does not grow e-fold within a flight, for any gain.
 
-    The condition is tested at the boundary and BEYOND_DB past it. In thin air, an attitude without restoring moment
+    The condition is tested at the boundary and BEYOND_DB beyond it. In thin air, an attitude without restoring moment
     drifts in this way.
     """
     if what == "delay" or not bound.frequency_hz < SLOWEST_HZ:
@@ -199,10 +201,10 @@ def is_too_slow(loop: Loop, what: MarginName, bound: LeastValue) -> bool:
 
 
 def following_trial(tried: list[tuple[float, float]], slope: float, most: float, apart: float) -> float:
-    """Return the next alteration by the secant rule, bounded by alterations that decayed and grew, or else midway
-    between them.
+    """Return the next alteration by the secant rule, or by bisection if the secant rule leaves the known bounds.
 
-    `slope` (1/s per unit) is used until two tries at least `apart` give a better one. No step exceeds `most`.
+    The bounds are alterations that decayed and grew. `slope` (1/s per unit) is used until two trials that differ by at
+    least `apart` give a better value. No step exceeds `most`.
     """
     at, growth = tried[-1]
     known = [t for t in tried if math.isfinite(t[1])]
@@ -218,8 +220,9 @@ def following_trial(tried: list[tuple[float, float]], slope: float, most: float,
 
 
 def build_up_rate(boundary: Loop, frequency_hz: float) -> float:
-    """Return the build-up rate (1/s) of a sine at the frequency of a pole on the axis: the magnitude of the residue of
-    1 / (1 + L).
+    """Return the build-up rate (1/s) of a sine at the frequency of a pole on the imaginary axis.
+
+    It is the magnitude of the residue of 1 / (1 + L).
     """
     if frequency_hz < SLOWEST_HZ:
         return 0.0
@@ -229,7 +232,7 @@ def build_up_rate(boundary: Loop, frequency_hz: float) -> float:
 
 
 def altered(loop: Loop, what: MarginName, amount: float) -> Loop:
-    """Return the linear loop with gain (dB) added or removed, or a delay (s) added to the computer's delay."""
+    """Return the linear loop with gain (dB) added or removed, or with an additional delay (s) of the computer."""
     if what == "delay":
         node = loop.fixed.node
         late = disperse_instruments(node.instruments, Dispersion(delay_s=amount))
@@ -243,7 +246,7 @@ def _gain(what: MarginName, amount_db: float) -> float:
 
 
 def _slope(loop: Loop, what: MarginName, bound: LeastValue) -> float:
-    """Return the rate of change of the linear loop's critical pole with the alteration, 1/s per unit."""
+    """Return the derivative of the critical pole's real part with respect to the alteration, 1/s per unit."""
     step, place = 1e-3 * bound.value, 2j * np.pi * bound.frequency_hz
     low, high = (altered(loop, what, x).closed_poles() for x in (bound.value - step, bound.value + step))
     return float(np.ptp([p[np.argmin(np.abs(p - place))].real for p in (low, high)]) / (2.0 * step))
@@ -254,7 +257,7 @@ def measured_growth(
 ) -> float:
     """Return the growth rate (1/s) of the free response in flight, or NaN if the flight ended early.
 
-    `loop` sets the dither.
+    `loop` determines the dither.
     """
     amplitude = excitation.burst_rad(held, test.frequency_hz, test.growth)
     swings = test.frequency_hz > 0.0
@@ -273,7 +276,9 @@ def measured_growth(
     first = round((test.burst_s + test.wait_s) / held.sample_s)
     limit = math.degrees(excitation.linear_room(held, test.frequency_hz)[0])
     over = np.flatnonzero(np.abs(response) > limit)
-    if swings and test.frequency_hz < FINE_BELOW_HZ and len(over):  # the motion after it is a different one
+    if (
+        swings and test.frequency_hz < FINE_BELOW_HZ and len(over)
+    ):  # the motion after saturation is not the free response
         response = response[: over[0]]
     elif len(response) - first < 0.9 * test.watch_s / held.sample_s:
         return SATURATED if len(over) else math.nan
@@ -282,12 +287,12 @@ def measured_growth(
 
 
 def fine_dither(held: HeldFlight) -> excitation.Groups:
-    """Return two tones that start without an impulse and under which the gain of rounding is close to 1.
+    """Return two tones that start without an impulse, and with which the gain of rounding is close to 1.
 
-    A tone A sin(w t) that starts at rest gives the slow motion the angular velocity of the impulse A / w, the mean of
-    its integral. The two tones have opposite signs, and their amplitudes are proportional to their frequencies, so that
-    the impulses cancel. Two equal tones of 50 steps moved petrel at 125.6 s to nine times the goal of the burst, from
-    which cross-flow lift turned it over.
+    A tone A sin(w t) that starts at rest gives the slow motion an angular velocity of A / w, the mean of its integral.
+    The tones have opposite signs and amplitudes proportional to their frequencies, so that these impulses cancel. With
+    two equal tones of 50 steps, petrel at 125.6 s moved by nine times the goal of the burst, and cross-flow lift then
+    turned it over.
     """
     low, high = excitation.DITHER_HZ
     rooms = (FINE_SHARE * min(excitation.linear_room(held, hz)) * low / hz for hz in excitation.DITHER_HZ)
@@ -298,21 +303,21 @@ def fine_dither(held: HeldFlight) -> excitation.Groups:
 def growth_rate(
     samples: Array, sample_s: float, frequency_hz: float, window_s: float, limit: float = math.inf, least: float = 0.0
 ) -> float:
-    """Return the growth rate (1/s) of an oscillation near a frequency, or of a drift at 0 Hz: the slope of its
-    envelope's logarithm.
+    """Return the growth rate (1/s) of an oscillation near a frequency, or of a drift at 0 Hz.
 
-    The envelope is that of windows with a raised-cosine weight. The weight rejects drifts, and motions whose frequency
-    differs by more than one period per window. Values below a tenth of the initial value are not used, since noise
-    would hide the decay. Values above `limit` (in the unit of the samples) are not used, since saturation would hide
-    the growth: a limit cycle does not grow. The result is `SATURATED` if the envelope exceeds `limit` from the
-    beginning or immediately after, and `DECAYED` if it begins below `least`.
+    It is the slope of the logarithm of the envelope, which is computed in windows with a raised-cosine weight. The
+    weight rejects drifts, and motions whose frequency differs by more than one period per window. Values below a tenth
+    of the initial value are excluded, since noise would hide the decay. Values above `limit` (in the unit of the
+    samples) are excluded, since saturation would hide the growth: a limit cycle does not grow. The result is
+    `SATURATED` if the envelope exceeds `limit` from the beginning or soon after, and `DECAYED` if it begins below
+    `least`.
     """
     window = max(round(window_s / sample_s), 8)
     weight = np.hanning(window)
     turn = weight * np.exp(-2j * np.pi * frequency_hz * sample_s * np.arange(window))
     starts = np.arange(0, len(samples) - window, max(window // 4, 1))
     double = 2.0 if frequency_hz > 0.0 else 1.0
-    if frequency_hz > 0.0:  # reject a constant and a slow drift
+    if frequency_hz > 0.0:  # rejects a constant and a slow drift
         slow = np.vander(np.linspace(-1.0, 1.0, window), 3)
         turn = turn - weight * (slow @ np.linalg.solve(slow.T @ (weight[:, None] * slow), slow.T @ turn))
     if len(samples) <= window:
@@ -331,18 +336,21 @@ def growth_rate(
 
 
 def _step_rad(held: HeldFlight) -> float:
-    """Return the step of the converter that turns commands into angles, or 0 for an ideal converter."""
+    """Return the step of the converter from commands to angles, or 0 for an ideal converter."""
     return float(held.packed.parameters[0].computer.dac_step_rad)
 
 
 def longest_delay_s(held: HeldFlight) -> float:
-    """Return the longest delay for which the filter has free sections, two samples each."""
+    """Return the longest delay that the free filter sections can hold, with two samples each."""
     free = MAX_SECTIONS - int(held.packed.parameters[0].computer.law.pd.n_sections[held.axis])
     return 2.0 * free * held.sample_s
 
 
 def alter(packed: Packed, held: HeldFlight, what: MarginName, amount: float) -> None:
-    """Alter the packed flight's computer in place, on the held axis, by sections downstream of those of the filter."""
+    """Alter the packed flight's computer in place, on the held axis, by sections after those of the filter.
+
+    Raises ValueError if a delay needs more sections than are free.
+    """
     row, axis = packed.parameters[0].computer, held.axis
     sections, used = row.law.pd.sections[axis], int(row.law.pd.n_sections[axis])
     if what != "delay":
@@ -360,7 +368,7 @@ def alter(packed: Packed, held: HeldFlight, what: MarginName, amount: float) -> 
 
 @dataclass(frozen=True)
 class Drift:
-    """The growth rate (1/s) of the slowest root, by the linear loop and in flight, and its change per decibel of gain.
+    """The growth rate (1/s) of the slowest root in the linear loop and in flight, and its change per decibel of gain.
 
     `others` are the margins of the held loop without that root.
     """
@@ -372,14 +380,12 @@ class Drift:
 
 
 def drift(held: HeldFlight, loop: Loop, of_held: Margins) -> Drift | None:
-    """Measure a held loop in which only the slowest root is unstable and its growth is slow.
-
-    Return None for every other loop.
+    """Measure a held loop in which only the slowest root is unstable and grows slowly, or return None for other loops.
 
     In a held flight, the axial load acts as gravity (held_flight.py) and is several times the real gravity. The slowest
     root then sometimes crosses the imaginary axis, although the loop at the flown instant is stable. Such a root takes
-    minutes to grow e-fold, so that all other properties of the loop can still be measured. The growth rate of the root
-    is measured too, since it shows a wrong sign or a wrong gravity in the slow motion.
+    minutes to grow e-fold, so that all other properties of the loop can be measured. The growth rate of the root is
+    measured too, since it reveals a wrong sign or a wrong gravity in the slow motion.
     """
     if of_held.stable or of_held.growth_hz >= DRIFT_HZ or not 0.0 < of_held.growth_1ps <= SLOWEST_1PS:
         return None
@@ -393,10 +399,10 @@ def drift(held: HeldFlight, loop: Loop, of_held: Margins) -> Drift | None:
 
 @dataclass(frozen=True)
 class LimitCycle:
-    """The end of an excited flight. `kind` is "decays", "limit cycle", "grows" (not settled at the end) or "lost".
+    """The end of an excited flight.
 
-    `gimbal_deg` and `slosh_deg` (the largest of all tanks) are amplitudes at the end. `frequency_hz` is that of the
-    command.
+    `kind` is "decays", "limit cycle", "grows" (not steady at the end) or "lost". `gimbal_deg` and `slosh_deg` (the
+    largest of all tanks) are amplitudes at the end. `frequency_hz` is that of the command.
     """
 
     kind: str
@@ -418,7 +424,7 @@ class LimitCycle:
 def limit_cycle(
     held: HeldFlight, frequency_hz: float, change: PackedChange = unchanged, watched_s: float = WATCHED_S
 ) -> LimitCycle:
-    """Excite the held flight by a burst at a frequency and classify its end. `change` may make the flight unstable."""
+    """Excite the held flight by a burst at a frequency, and classify its end. `change` may make the flight unstable."""
     run, rows = held.fly(watched_s, (excitation.sine_burst(held, frequency_hz),), change)
     command = rows[:, run.table.index(f"gimbal_{held.plane}_command_deg")]
     slosh = slosh_columns(run, held.plane)
@@ -439,7 +445,7 @@ def limit_cycle(
 
 
 def amplitude(samples: Array) -> float:
-    """Return half the peak-to-peak value."""
+    """Return half the peak-to-peak value of samples."""
     return float(0.5 * np.ptp(samples)) if len(samples) else 0.0
 
 

@@ -1,14 +1,17 @@
-"""The measured loop of flight code without a linear model, examined in held flights up to its stability boundary.
+"""The measured loop of flight code without a linear model, in held flights up to its stability boundary.
 
-A certificate (certificate.py) compares measurements with a linear loop; this module only measures. The open loop is
-measured at lines by excitation. The margins are measured by raising the gain, lowering the gain and adding delay behind
-the flight code until the loop grows. The vehicle's linear model only sets the level of the excitation and gives the
-slosh frequencies.
+A certificate (certificate.py) compares measurements with a linear loop, whereas this module only measures. The open
+loop is measured at lines by excitation. The margins are measured by raising the gain, lowering the gain and adding
+delay after the flight code until the loop grows. The vehicle's linear model only determines the level of the excitation
+and the slosh frequencies.
 
-Limits: motions that no excitation has reached remain unknown. The response does not show resonances between the lines.
-The margins include them, because an unstable loop oscillates at whichever resonance is unstable. A growth slower than
-e-fold in some 20 s counts as stable (`GROWS`). So do a growing motion that the initial burst does not excite, and an
-oscillation within the rounding of the gyro's converter (`FLOOR_COUNTS`).
+Limits of validity: motions that the excitation does not reach remain unknown. The response does not show resonances
+between the lines. The margins include them, because an unstable loop oscillates at whichever resonance is unstable.
+Three kinds of motion count as stable:
+
+- growth slower than e-fold in some 20 s (`GROWS`)
+- a growing motion that the initial burst does not excite
+- an oscillation within the rounding of the gyro's converter (`FLOOR_COUNTS`)
 """
 
 from __future__ import annotations
@@ -46,21 +49,24 @@ TRIALS: dict[MarginName, tuple[float, ...]] = {
     "gain_down": _TRIALS_DB,
     "delay": (0.003, 0.006, 0.01, 0.015, 0.02, 0.03, 0.04, 0.055, 0.075, 0.1, 0.13, 0.16),
 }
-"""The alterations that are tried one after the other, dB and s."""
-WATCHED_S = 48.0  # after the burst of a trial
-GROWS = 1.25  # amplitude of the last quarter of a trial relative to the second quarter
+"""The alterations in the order of their trials, dB and s."""
+WATCHED_S = 48.0  # duration of a trial
+GROWS = 1.25  # least ratio of the amplitudes in the last and the second quarter of a growing trial
 UNSTABLE = "the loop is unstable as it is"
-MOST_FLIGHTS = measured_margins.MOST_FLIGHTS + 4  # between two trials
-FLOOR_COUNTS = 2.0  # of the gyro's converter: rounding alone occasionally sustains such an oscillation
-_PROBE = 0.15  # of the level at which the loop would be excited if it had no feedback
-_ACROSS = 0.3  # of a limit: a larger oscillation has grown
+MOST_FLIGHTS = measured_margins.MOST_FLIGHTS + 4  # most flights between two trials
+FLOOR_COUNTS = 2.0  # counts of the gyro's converter; rounding alone can sustain such an oscillation
+_PROBE = 0.15  # relative to the level for a loop without feedback
+_ACROSS = 0.3  # fraction of a limit above which an oscillation counts as growing
 _IN_FLIGHT = LineBand(np.array(LINES_HZ), 10.0 * WINDOW_S, 40.0, 1)
 _TOLERANCE = {"dB": 0.02, "s": 1e-4}
 
 
 @dataclass(frozen=True)
 class _Loop:
-    """The loop as the excitation needs it: its response so far, at `lines_hz`. An empty response means no feedback."""
+    """The loop in the form for the excitation: its measured response at `lines_hz`.
+
+    An empty response represents a loop without feedback.
+    """
 
     fixed: FixedPath
     lines_hz: Array
@@ -78,13 +84,13 @@ class _Loop:
 class MeasuredNode:
     """The measurement of flight code at an operating point.
 
-    L at lines (Hz) has a standard error relative to L. The margins are measured in flight, and their `linear` is NaN.
-    The limit cycles give the outcome of a burst at each slosh frequency. All are empty if the unaltered loop is
-    unstable.
+    `error` is the standard error of L at the lines (Hz), relative to L. The margins are measured in flight, and their
+    `linear` is NaN. `cycles` are the outcomes of a burst at each slosh frequency. All are empty if the unaltered loop
+    is unstable.
 
     - `clock_s`: range of the code's clock in the held flight (sim/run/held_code.py).
     - `in_flight`: L at `in_flight.LINES_HZ`.
-    - `ended`: the reason if the code's own flight ends before or the code ends the held flight, or "".
+    - `ended`: the reason if the code's own flight ends early or the code ends the held flight, or "".
     - `differs`: the message of a failed replay check, or "".
     """
 
@@ -104,7 +110,7 @@ class MeasuredNode:
     def margin(self, what: MarginName) -> float:
         """Return a margin in its unit.
 
-        It is infinite if no limit was found in the range tried, and NaN if it was not determined.
+        It is infinite if no boundary was found within the trials, and NaN if it was not determined.
         """
         found = next((m for m in self.margins if m.what == what), None)
         if found is None:
@@ -113,8 +119,9 @@ class MeasuredNode:
 
     @property
     def phase_deg(self) -> float:
-        """Return the least phase margin (deg) at the crossings of |L| = 1 between neighbouring lines, infinite without
-        a crossing.
+        """Return the least phase margin (deg) at crossings of |L| = 1 between adjacent lines.
+
+        It is infinite without a crossing.
         """
         size = np.log(np.abs(self.response))
         turn = np.unwrap(np.angle(self.response))
@@ -172,7 +179,7 @@ def _measured(held: HeldFlight, bands: tuple[LineBand, ...], names: tuple[Margin
 def measured_loop(held: HeldFlight, path: FixedPath, bands: tuple[LineBand, ...]) -> tuple[Array, ComplexArray, Array]:
     """Measure L at the lines of the bands, first at a low level, then at a level adapted to the first result.
 
-    Return the lines (Hz), L, and its relative standard error.
+    Returns the lines (Hz), L, and its relative standard error.
     """
     if not bands:
         return np.zeros(0), np.zeros(0, np.complex128), np.zeros(0)
@@ -192,12 +199,12 @@ def measured_loop(held: HeldFlight, path: FixedPath, bands: tuple[LineBand, ...]
 class _Trial:
     grows: bool
     frequency_hz: float
-    level_deg: float  # amplitude at the end
-    cause: str = ""  # for which the flight code has ended the flight
+    level_deg: float  # amplitude at the end of the trial
+    cause: str = ""  # reason for which the flight code ended the flight
 
 
 def _trial(held: HeldFlight, path: FixedPath, change: PackedChange, floor_deg: float = 0.0) -> _Trial:
-    """Excite all motions by a doublet. Return True if the command grows beyond the level that rounding sustains.
+    """Excite all motions by a doublet, and examine whether the command grows beyond the level that rounding sustains.
 
     `floor_deg` is the amplitude of the unaltered loop. Commands that turn the gyro by less than `FLOOR_COUNTS` do not
     count as growth.
@@ -210,7 +217,7 @@ def _trial(held: HeldFlight, path: FixedPath, change: PackedChange, floor_deg: f
         cause = next((event.detail for event in run.events if event.name == SOFTWARE_NAME), "")
         return _Trial(True, _strongest(samples[-quarter:], held.sample_s), math.inf, cause)
     parts = (_without_trend(samples[k * quarter : (k + 1) * quarter]) for k in (1, 3))
-    second, last = (math.sqrt(2.0 * float(np.mean(part**2))) for part in parts)  # of sines of equal power
+    second, last = (math.sqrt(2.0 * float(np.mean(part**2))) for part in parts)  # amplitudes of sines with equal power
     frequency_hz = _strongest(samples[3 * quarter :], held.sample_s)
     limit, least = math.degrees(linear_limits(held)[0]), max(2.0 * floor_deg, _rounding_deg(held, path, frequency_hz))
     grows = last > _ACROSS * limit or (last > GROWS * second and last > least)
@@ -238,8 +245,9 @@ def _strongest(samples: Array, sample_s: float) -> float:
 
 
 def broken(held: HeldFlight, loop: _Loop, what: MarginName, floor_deg: float) -> MeasuredMargin:
-    """Return the alteration at which the loop neither grows nor decays, by bisection between two trials, then from its
-    growth rate.
+    """Return the alteration at which the loop neither grows nor decays.
+
+    A series of trials brackets it, and the growth rate then refines it.
     """
     tried: list[tuple[float, float]] = []
 
@@ -264,7 +272,7 @@ def broken(held: HeldFlight, loop: _Loop, what: MarginName, floor_deg: float) ->
 
         def grow(at: float, test: measured_margins.BurstTest = test) -> float:
             growth = measured_margins.measured_growth(held, loop, test, change(at))
-            return math.inf if math.isnan(growth) else growth  # lost
+            return math.inf if math.isnan(growth) else growth  # the flight was lost
 
         slope, bounds = trial.frequency_hz * (20.0 if what == "delay" else 0.05), (0.5 * low, min(1.5 * high, most))
         at, settled = measured_margins.settle(
@@ -274,9 +282,7 @@ def broken(held: HeldFlight, loop: _Loop, what: MarginName, floor_deg: float) ->
         within = at - 5.0 * tolerance
         if within <= low:
             break
-        inside = _trial(
-            held, loop.fixed, change(within), floor_deg
-        )  # the fastest-growing motion may not be the first to become unstable
+        inside = _trial(held, loop.fixed, change(within), floor_deg)  # another motion may have become unstable earlier
         if not inside.grows:
             break
         high, trial = within, inside

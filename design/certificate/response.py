@@ -1,6 +1,6 @@
 """The open loop measured in a held flight, compared with the paper's continuous loop and with the exact sampled loop.
 
-The signal is injected at the gimbal command, and the returned signal is compared with it, line by line. Each difference
+The signal is injected at the gimbal command, and the returned signal is compared with it at each line. Each difference
 from the sampled loop has a stated reason or is unexplained.
 """
 
@@ -27,33 +27,34 @@ BANDS = (
     band(2.75, 12.0, 16, 80.0, 12.0, 1, dithered=True),
     band(12.5, 49.5, 12, 120.0, 12.0, 1, dithered=True),
 )
-"""The bands of lines, long enough for the lowest line and strong enough for the highest. The quantity that limits
-the level differs from band to band.
+"""The bands of lines, with periods for the lowest line and levels for the highest.
+
+The quantity that limits the level differs between the bands.
 """
 UNROUNDED_FROM_HZ = 2.7
 UNROUNDED_PERIOD_S, UNROUNDED_SETTLE_S = 40.0, 40.0
 
 COHERENT = 0.99
 WITHIN_DB, WITHIN_DEG = 0.2, 1.5
-NOISE_SIGMAS = 4.5  # estimated from ten bins of noise: exceeded by one line in 60,000; a certificate has 1,000
-HALF = 0.5  # of the excitation level, to show what depends on the level
-RING_SHARE = 0.1  # of the level, for waves that are lower than the depth of the rings
+NOISE_SIGMAS = 4.5  # with noise from ten bins, one line in 60,000 exceeds this; a certificate has 1,000 lines
+HALF = 0.5  # fraction of the excitation level, to show nonlinearity
+RING_SHARE = 0.1  # fraction of the level, for waves lower than the depth of the rings
 AGREED, NOISE, INCOHERENT, UNEXPLAINED = "", "converter noise", "incoherent", "unexplained"
 SATURATION, ENDED = "saturation", "flight ended"
 FAULTY = UNEXPLAINED, SATURATION, ENDED
 
-_NEAR_HZ, _NEAR = 0.125, 5  # on either side, the range of the noise estimate, and the least number of its bins
-_DECAYED = 9.0  # exp(-9) = 1e-4 of the initial amplitude
-_DISTINCT = 0.01  # a root that changes less than this over the record cannot be separated from the mean
+_NEAR_HZ, _NEAR = 0.125, 5  # range of the noise estimate on each side of a line, and its least number of bins
+_DECAYED = 9.0  # a transient has decayed at exp(-9) = 1e-4 of its initial amplitude
+_DISTINCT = 0.01  # a root with a smaller change over the record cannot be separated from the mean
 
 
 @dataclass(frozen=True)
 class MeasuredResponse:
     """The response L at lines, (lines,), and its quality.
 
-    `error` is the standard error of L relative to L, and `coherence` is the share of the return that L explains. Both
-    are estimated from the spectrum between the lines, where no signal was sent. `saturated_s` is the time during which
-    a command was at its limit. `outcome` is that of the flight.
+    `error` is the standard error of L relative to L, and `coherence` is the fraction of the return that L explains.
+    Both are estimated from the spectrum between the lines, where no signal was sent. `saturated_s` is the time during
+    which a command was at its limit. `outcome` is the outcome of the flight.
     """
 
     lines_hz: Array
@@ -65,13 +66,12 @@ class MeasuredResponse:
 
 
 def measure(held: HeldFlight, band: LineBand, level: ExcitationLevel, closed_poles: ComplexArray) -> MeasuredResponse:
-    """Fly with the signal injected at the gimbal command, and compare filter output and gimbal command.
+    """Fly with the signal injected at the gimbal command, and return the measured response.
 
-    L = -U / E with U the output of the bending filter and E = U + injected, limited and quantised. E is the command
-    that the actuator receives, so that limits and the output converter do not bias L.
-
-    `closed_poles` (rad/s) of the linear loop show which transients remain when the record begins. The decay of a root
-    of 0.02 rad/s would take minutes. Therefore, such transients are removed from the spectra.
+    L = -U / E, where U is the output of the bending filter, and E = U + injected, after limits and quantisation. E is
+    the command that the actuator receives, so that limits and the output converter do not bias L. `closed_poles`
+    (rad/s) of the linear loop determine the transients that remain when the record begins. The decay of a root of 0.02
+    rad/s would take minutes, so that such transients are removed from the spectra.
     """
     run, values = held.fly(band.duration_s, injections([*level.groups, *level.dither], held.plane))
     return _measured(held, band, closed_poles, run, values)
@@ -95,7 +95,7 @@ def _measured(
 
 
 def _spectra(band: LineBand, sample_s: float, back: Array, sent: Array) -> tuple[ComplexArray, ComplexArray] | None:
-    """Return the spectra (periods, bins) of the return and of the command, or None if the flight ended before.
+    """Return the spectra (periods, bins) of the return and of the command, or None if the flight ended early.
 
     A command is logged after its tick and is therefore read one row later.
     """
@@ -110,10 +110,10 @@ def _spectra(band: LineBand, sample_s: float, back: Array, sent: Array) -> tuple
 
 
 def _settled(spectra: ComplexArray, band: LineBand, closed_poles: ComplexArray) -> ComplexArray:
-    """Return the mean over the periods, (bins,), without transients.
+    """Return the mean spectrum over the periods, (bins,), without transients.
 
-    Each root's part changes by exp(p times the period). The slowest roots are removed first, since there are too few
-    periods for all.
+    The contribution of each root changes by exp(p times the period). The slowest roots are removed first, since there
+    are too few periods for all roots.
     """
     distinct = np.abs(closed_poles.real) * band.duration_s > _DISTINCT
     slow = closed_poles[distinct & (-closed_poles.real * band.settle_s < _DECAYED)]
@@ -128,7 +128,7 @@ def _estimated(
 ) -> MeasuredResponse:
     """Return the estimates at the lines.
 
-    Between the lines no signal is sent, and U = E is noise that has passed around the loop: N / (1 + L).
+    No signal is sent between the lines, and U = E is noise that has passed around the loop: N / (1 + L).
     """
     lines = np.round(band.lines_hz * band.period_s).astype(int)
     response = -out[lines] / into[lines]
@@ -150,10 +150,10 @@ def _estimated(
 class ResponseTable:
     """The response L at lines, (lines,): continuous, exactly sampled, in flight, and in flight without rounding.
 
-    `unrounded` is measured with fine resolution of converter and output, and is NaN if not measured. A difference due
-    to the noise of the converter vanishes in it. `nonlinear_db` is the change of L at half the excitation level, and is
-    NaN likewise. `reason` explains each difference above the tolerance: "" agreed, "incoherent" not judged, "converter
-    noise" within 4.5 standard errors, "saturation", "flight ended", or "unexplained".
+    `unrounded` is measured with infinitely fine converters, and is NaN if not measured. A difference due to converter
+    noise vanishes in it. `nonlinear_db` is the change of L at half the excitation level, and is NaN if not measured.
+    `reason` explains each difference above the tolerance: "" (agrees), "incoherent" (not assessed), "converter noise"
+    (within 4.5 standard errors), "saturation", "flight ended", or "unexplained".
     """
 
     lines_hz: Array
@@ -184,17 +184,17 @@ class ResponseTable:
 
     @property
     def faulty(self) -> list[int]:
-        """Return the lines with a difference that neither noise nor tolerance explains."""
+        """Return the indices of lines with a difference that neither noise nor tolerance explains."""
         return [i for i, why in enumerate(self.reason) if why in FAULTY]
 
 
 def decibels(ratio: ComplexArray) -> Array:
-    """Return 20 log10 of the magnitude."""
+    """Return the magnitude of a ratio in dB."""
     return np.asarray(20.0 * np.log10(np.maximum(np.abs(ratio), 1e-300)))
 
 
 def degrees(ratio: ComplexArray) -> Array:
-    """Return the angle in degrees."""
+    """Return the phase of a ratio in degrees."""
     return np.asarray(np.degrees(np.angle(ratio)))
 
 
@@ -207,7 +207,7 @@ def no_response() -> ResponseTable:
 def measured_response(
     held: HeldFlight, loop: Loop, pade: Loop, bands: tuple[LineBand, ...] = BANDS, *, at_half: bool = True
 ) -> ResponseTable:
-    """Measure and judge all bands, with and without rounding. `at_half` measures them at half the level as well."""
+    """Measure and assess all bands, with and without rounding. `at_half` also measures them at half the level."""
     if not bands:
         return no_response()
     poles = loop.closed_poles()
@@ -242,12 +242,11 @@ def measured_response(
 
 @dataclass(frozen=True)
 class RingLine:
-    """The response L at the frequency of a pendulum with ring baffles that follow their law, excited by a sine, and
-    that of the linear loop.
+    """The response L at the frequency of a pendulum with ring baffles, measured and linear.
 
-    `linear` has the damping of the rings at the flown swing (rad, of each pendulum). `difference_db` and `_deg` are
-    measured less linear. `rings_db` is the effect of the rings at this frequency: linear less the same loop without
-    rings.
+    In the measurement, the rings follow their law. The excitation is a sine. `linear` has the damping of the rings at
+    the flown swing (rad, of each pendulum). `difference_db` and `difference_deg` are the measured minus the linear
+    response. `rings_db` is the effect of the rings at this frequency: `linear` minus the same loop without rings.
     """
 
     line_hz: float
@@ -296,12 +295,12 @@ def ring_lines(by_law: HeldFlight, loop: Loop) -> tuple[RingLine, ...]:
 
 
 def _even(lines_hz: Array) -> Array:
-    """Return the nearest lines that fit the period of the measurement without rounding."""
+    """Return the nearest lines (Hz) that fit the period of the measurement without rounding."""
     return np.asarray(2.0 * np.round(0.5 * lines_hz * UNROUNDED_PERIOD_S) / UNROUNDED_PERIOD_S)
 
 
 def _without_rounding(held: HeldFlight) -> HeldFlight:
-    """Return the scenario with infinitely fine pulses and output steps."""
+    """Return the held flight with infinitely fine counts and output steps."""
 
     def fault(packed: Packed) -> None:
         held.fault(packed)
@@ -314,9 +313,9 @@ def _without_rounding(held: HeldFlight) -> HeldFlight:
 
 
 def _reason(error: float, coherence: float, ratio: complex, clean: complex, saturated: bool) -> str:
-    """Return the reason for which a line is not used.
+    """Return the reason for the difference of a line.
 
-    `ratio` is that of measured to sampled L, and `clean` is the same without rounding.
+    `ratio` is the ratio of measured to sampled L, and `clean` is the same ratio without rounding.
     """
     if not math.isfinite(error):
         return ENDED

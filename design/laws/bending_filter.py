@@ -1,9 +1,8 @@
-"""The bending filter (paper, eqs 37 to 41): its state space, its poles, and its representation as a vector of
-variables.
+"""The bending filter (paper, eqs 37 to 41): state space, poles, and representation as a vector of variables.
 
-Each quadratic section has the variables ln(zero_hz), zero_zeta, ln(pole_hz), pole_zeta. Each first-order section
-follows with ln(zero_hz), ln(pole_hz). In these variables, ln|F(j inf)| is linear, and a trust region has the same
-meaning everywhere.
+Each quadratic section has the variables ln(zero_hz), zero_zeta, ln(pole_hz), pole_zeta. The first-order sections follow
+with ln(zero_hz), ln(pole_hz) each. The gain ln|F(j inf)| is linear in these variables. A step of given size in a
+frequency variable is the same relative change at every frequency, which suits a trust region.
 """
 
 from __future__ import annotations
@@ -25,17 +24,17 @@ from maxq.design.model.state_space import ComplexArray, StateSpace, chain
 
 FrequencyAndDamping = tuple[float, float]
 AnyFilter = BendingFilter | DiscreteFilter | None
-"""A filter, continuous or discrete at the flight computer's period, or none: 1."""
+"""A continuous filter, a discrete filter at the flight computer's period, or None for a response of 1."""
 
-QUADRATIC, FIRST_ORDER = 4, 2  # variables of a section
+QUADRATIC, FIRST_ORDER = 4, 2  # variables per section
 TWO_PI = 2.0 * np.pi
-SPAN = 2.0  # random frequencies are within this factor squared around the first mode
+SPAN = 2.0  # random frequencies are at most this factor squared above or below that of the first mode
 
-FASTEST = 1e-6  # below this |z|, a pole is one that a delay has left out, or nearly so
+FASTEST = 1e-6  # discrete poles with |z| below this value act as pure delays and are omitted
 
 
 def check_period(filter_: AnyFilter, sample_s: float | None) -> None:
-    """Check the sample period of a filter.
+    """Check that a filter is valid for a loop with the period `sample_s`, or for a continuous loop if that is None.
 
     Raises ValueError for a continuous filter in a sampled loop, and for a discrete filter of another period.
     """
@@ -46,9 +45,9 @@ def check_period(filter_: AnyFilter, sample_s: float | None) -> None:
 
 
 def filter_state_space(filter_: AnyFilter) -> StateSpace:
-    """Return the filter as a cascade of its sections.
+    """Return the state space of a filter from `law_rad` to `command_rad`, as a cascade of its sections.
 
-    Discrete sections are in transposed direct form II, as in flight.
+    Discrete sections are in transposed direct form II, as in the flight computer.
     """
     one = StateSpace(
         np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), (), ("law_rad",), ("command_rad",)
@@ -65,7 +64,7 @@ def filter_state_space(filter_: AnyFilter) -> StateSpace:
         for k, (p, q) in enumerate(filter_.polynomials()):
             order = 2 if q[2] != 0.0 else 1
             through = p[order] / q[order]
-            # states in units of the pole's period
+            # scales the states by the pole's frequency, for a well-conditioned matrix
             unit = abs(q[0] / q[order]) ** (1.0 / order)
             row = np.array([q[i] / q[order] * unit ** (i - order) for i in range(order)])
             top = np.array([p[i] / q[order] * unit ** (i - order) for i in range(order)])
@@ -82,7 +81,7 @@ def _section(a: Array, b: Array, c: Array, through: float, k: int) -> StateSpace
 
 
 def filter_poles(filter_: AnyFilter) -> ComplexArray:
-    """Return the poles in rad/s. The poles of a discrete filter are log(z) / T."""
+    """Return the poles of a filter, rad/s. A pole z of a discrete filter is converted to log(z) / T."""
     if filter_ is None:
         return np.zeros(0, np.complex128)
     found: list[complex] = []
@@ -98,7 +97,10 @@ def filter_poles(filter_: AnyFilter) -> ComplexArray:
 
 @dataclass(frozen=True)
 class FilterVariables:
-    """The layout of the vector: `quadratic` sections of four variables, then `first_order` sections of two."""
+    """The layout of the vector of variables.
+
+    `quadratic` sections of four variables precede `first_order` sections of two.
+    """
 
     quadratic: int
     first_order: int
@@ -114,10 +116,9 @@ class FilterVariables:
         return (*out, *(f"first_order[{i}].{key}" for i in range(self.first_order) for key in ("zero_hz", "pole_hz")))
 
     def _coefficients(self, y: Array) -> tuple[Array, Array, Array]:
-        """Return n1, n2 of every polynomial 1 + n1 s + n2 s^2, (..., polynomials), quadratic sections first, and their
-        signs.
+        """Return the coefficients n1 and n2 and the sign of every polynomial 1 + n1 s + n2 s^2, (..., polynomials).
 
-        The sign is +1 for zeros and -1 for poles. `y` has the shape (..., size).
+        Quadratic sections come first. The sign is +1 for zeros and -1 for poles. `y` has the shape (..., size).
         """
         split, lead = QUADRATIC * self.quadratic, y.shape[:-1]
         q = y[..., :split].reshape(*lead, 2 * self.quadratic, 2)
@@ -132,7 +133,10 @@ class FilterVariables:
         return np.array([1.0, -1.0] * (self.quadratic + self.first_order))
 
     def response(self, y: Array, s: ComplexArray) -> ComplexArray:
-        """Return F in the shape of `s`. `y` has the shape (size,), or (points, size) for `s` of shape (points,)."""
+        """Return the response F, in the shape of `s` (rad/s).
+
+        `y` has the shape (size,), or (points, size) for `s` of shape (points,).
+        """
         first, second, sign = self._coefficients(y)
         above, below = np.ones_like(s), np.ones_like(s)
         for k, side in enumerate(sign):
@@ -145,9 +149,10 @@ class FilterVariables:
         return np.asarray(above / below)
 
     def slopes(self, y: Array, s: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Return ln F (principal sum) and its first and second derivatives with respect to s, each (points,).
+        """Return ln F and its first and second derivatives with respect to s, each (points,).
 
-        `y` has the shape (size,), or (points, size) if each point has its own variables.
+        ln F is the sum of the principal logarithms of the polynomials. `y` has the shape (size,), or (points, size) if
+        each point has its own variables.
         """
         first, second, sign = self._coefficients(y)
         n = 1.0 + s[:, None] * (first + s[:, None] * second)
@@ -156,7 +161,7 @@ class FilterVariables:
         return _complex(np.log(n) @ sign), _complex(d1 @ sign), _complex(d2 @ sign)
 
     def gradient(self, y: Array, s: ComplexArray) -> ComplexArray:
-        """Return d ln F / d y (points, size). `y` is as in `slopes`."""
+        """Return the gradient d ln F / d y, (points, size). `y` has the same shape as in `slopes`."""
         first, second, sign = self._coefficients(y)
         column = s[:, None]
         n = 1.0 + column * (first + column * second)
@@ -170,7 +175,7 @@ class FilterVariables:
         return out
 
     def log_gain_at_infinity(self) -> Array:
-        """Return the coefficients (size,) of ln|F(j inf)|, which is linear in the variables."""
+        """Return the coefficients (size,) of ln|F(j inf)|, a linear function of the variables."""
         out = np.zeros(self.size)
         split = QUADRATIC * self.quadratic
         out[:split:QUADRATIC], out[2:split:QUADRATIC] = -2.0, 2.0
@@ -187,7 +192,11 @@ class FilterVariables:
         )
 
     def variables(self, filter_: BendingFilter) -> Array:
-        """Return the vector of a filter with these numbers of sections and zeros in the left half plane."""
+        """Return the variables of a filter, (size,).
+
+        Raises ValueError if the numbers of sections differ from this layout, or if a first-order zero is not in the
+        left half plane.
+        """
         if (len(filter_.quadratic), len(filter_.first_order)) != (self.quadratic, self.first_order):
             raise ValueError(
                 f"the filter has {len(filter_.quadratic)} quadratic and {len(filter_.first_order)} first-order "
@@ -203,9 +212,10 @@ class FilterVariables:
 
 @dataclass(frozen=True)
 class FilterNodes:
-    """The variables of a filter at each of `nodes` (m,), node by node in the order of `layout`; one node: constant.
+    """The variables of a filter at each of `nodes` (m,), node by node in the order of `layout`.
 
-    Frequencies and damping ratios are linear between the nodes. `weights` (plants, m) are those of the interpolation.
+    A single node gives a constant filter. Frequencies and damping ratios are linear between the nodes. `weights`
+    (plants, m) are the interpolation weights of each plant.
     """
 
     layout: FilterVariables
@@ -236,7 +246,7 @@ class FilterNodes:
         return y.reshape(len(self.nodes), -1)
 
     def at_plants(self, y: Array) -> Array:
-        """Return the variables of the filter of each plant, (plants, layout.size)."""
+        """Return the variables of each plant's filter, (plants, layout.size)."""
         if not self.moves:
             return np.broadcast_to(y, (len(self.weights), len(y)))
         rows = self.at_nodes(y)
@@ -244,13 +254,16 @@ class FilterNodes:
         return np.where(self._logarithmic, np.log(np.where(self._logarithmic, value, 1.0)), value)
 
     def _shares(self, y: Array) -> Array:
-        """Return d (variable of the filter of a plant) / d (that variable at a node), (plants, m, layout.size)."""
+        """Return the derivative of each plant's filter variables with respect to the same variable at each node.
+
+        The shape is (plants, m, layout.size).
+        """
         rows = self.at_nodes(y)
         part = self.weights[:, :, None] * np.where(self._logarithmic, np.exp(rows), 1.0)
         return np.where(self._logarithmic, part / part.sum(axis=1, keepdims=True), part)
 
     def gradients(self, y: Array) -> Array:
-        """Return d (variables of the filter of each plant) / d y, (plants, layout.size, size)."""
+        """Return the derivative of each plant's filter variables with respect to `y`, (plants, layout.size, size)."""
         n, m = self.layout.size, len(self.nodes)
         out = np.zeros((len(self.weights), n, m, n))
         every = np.arange(n)
@@ -258,9 +271,10 @@ class FilterNodes:
         return out.reshape(len(self.weights), n, m * n)
 
     def curvature(self, y: Array, slopes: Array) -> Array:
-        """Return the sum of the second derivatives, weighted with `slopes` (plants, layout.size): (size, size).
+        """Return the weighted sum of the second derivatives of the filter variables by `y`, (size, size).
 
-        That of a logarithm of a weighted sum of exponentials is diag(share) - share share'.
+        The sum covers all plants. The weights are `slopes` (plants, layout.size). The second derivative of the
+        logarithm of a weighted sum of exponentials is diag(share) - share share'.
         """
         n, m = self.layout.size, len(self.nodes)
         out = np.zeros((m, n, m, n))
@@ -272,11 +286,14 @@ class FilterNodes:
         return out.reshape(m * n, m * n)
 
     def schedule(self, y: Array) -> FilterSchedule:
-        """Return the filter over the flight that these variables represent."""
+        """Return the filter schedule that these variables represent."""
         return FilterSchedule(tuple(self.nodes.tolist()), tuple(map(self.layout.filter, self.at_nodes(y))))
 
     def variables_of(self, schedule: FilterSchedule, mode_hz: float) -> Array | None:
-        """Return the variables of a filter with at most the same freedom (`lifted`), or None if it has more."""
+        """Return the variables of a filter schedule, or None if the schedule has more freedom than this layout.
+
+        A filter with fewer sections is extended by cancelling pairs (`lifted`).
+        """
         if schedule.moves and not (self.moves and np.isin(schedule.at, self.nodes).all()):
             return None
         each = [lifted(schedule(at), self.layout, mode_hz) for at in self.nodes]
@@ -288,9 +305,10 @@ def _complex(values: NDArray[Any]) -> ComplexArray:
 
 
 def laplace_axis(x: Array, sample_s: float | None, prewarp_hz: float | None) -> tuple[ComplexArray, ...]:
-    """Return s at which the continuous form of the filter has the response at x = ln f, and its two derivatives by x.
+    """Return the Laplace variable s (rad/s) at x = ln f, and its first and second derivatives with respect to x.
 
-    A bilinear filter is the continuous one on a warped axis: s = j c tan(pi f T).
+    A filter discretised by the bilinear transform has the response of the continuous filter on a warped axis, s = j c
+    tan(pi f T). The constant c makes s exact at `prewarp_hz`. Without a period or a prewarping frequency, s = 2 pi j f.
     """
     if sample_s is None or prewarp_hz is None:
         s = 2j * np.pi * np.exp(x)
@@ -306,19 +324,19 @@ def laplace_axis(x: Array, sample_s: float | None, prewarp_hz: float | None) -> 
 
 @dataclass(frozen=True)
 class Lag:
-    """A first-order lag of a measurement, continuous or sampled exactly (control/laws/load_relief.py)."""
+    """A first-order lag of a measurement, continuous or discretised exactly (control/laws/load_relief.py)."""
 
     corner_hz: float
     sample_s: float | None
 
     @property
     def share(self) -> float:
-        """Return the coefficient g of a sampled lag."""
+        """Return the coefficient g of the sampled lag, in y = (1 - g) y + g u."""
         assert self.sample_s is not None
         return lag_share(self.corner_hz, self.sample_s)
 
     def with_slopes(self, x: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Return the response at x = ln f, with its first and second derivatives by x."""
+        """Return the response at x = ln f, and its first and second derivatives with respect to x."""
         s = 2j * np.pi * np.exp(x)
         if self.sample_s is None:
             a = 2.0 * math.pi * self.corner_hz
@@ -330,8 +348,10 @@ class Lag:
         return np.asarray(gain / rest), first, first * (1.0 - u - 2.0 * u * left / rest)
 
     def change_with_slopes(self, x: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Return the response of the rate of change downstream of the lag, 1/s, with its derivatives: the lag times s,
-        or times (1 - 1/z) / T.
+        """Return the response of lag and differentiation in series, 1/s, and its two derivatives.
+
+        The derivatives are the first and second with respect to x = ln f. Differentiation multiplies by s, or by
+        (1 - 1/z) / T in a sampled loop.
         """
         (h, h1, h2), s = self.with_slopes(x), np.asarray(2j * np.pi * np.exp(x), np.complex128)
         parts: list[ComplexArray] = [s, s, s]
@@ -342,8 +362,9 @@ class Lag:
         return h * d, h1 * d + h * d1, h2 * d + 2.0 * h1 * d1 + h * d2
 
     def with_change(self, direct: float, change: float) -> StateSpace:
-        """Return direct + change * rate of change downstream of the lag, which maps a rate to the quantity that a law
-        forms from it.
+        """Return the state space of `direct` plus `change` times lag and differentiation in series.
+
+        It maps a rate to the output of the law.
         """
         if self.sample_s is None:
             a = -self.pole_radps
@@ -358,8 +379,9 @@ class Lag:
         return -2.0 * math.pi * self.corner_hz
 
     def state_space(self) -> StateSpace:
-        """Return a system of one state: the filtered acceleration of the previous sample or, if continuous, of the
-        present.
+        """Return the state space of the lag, with the filtered acceleration as its only state.
+
+        The state of a sampled lag is the filtered value of the previous sample.
         """
         if self.sample_s is None:
             a = self.pole_radps
@@ -371,8 +393,9 @@ class Lag:
 
 
 def drawn_filters(layout: FilterVariables, mode_hz: float) -> Iterator[BendingFilter]:
-    """Return notches at the first mode with poles below it and lead or lag around it, a form typical of optimal
-    filters.
+    """Yield filters of a form typical of optimal ones, as starting points of a search.
+
+    Each has notches at the first mode with poles below it, and leads or lags around it.
     """
     lead, lag, mild, roll_off = (0.5, 5.0), (0.3, 0.22), (4.0, 2.0), (1.2, 20.0)
     notch, shelf = (1.0, 0.1, 0.5, 0.3), (0.65, 0.7, 0.5, 0.3)
@@ -397,13 +420,12 @@ def drawn_filters(layout: FilterVariables, mode_hz: float) -> Iterator[BendingFi
 
 
 def random_ranges(layout: FilterVariables, lower: Array, upper: Array, mode_hz: float) -> tuple[Array, Array]:
-    """Return the lower and upper ends of the variables of random starts, (2, size) each: for general and for notch-like
-    starts.
+    """Return the ranges of random starting points, general and notch-like, as lower and upper ends (2, size) each.
 
-    General starts have the bounds as their range, except for frequencies farther than `SPAN` squared from the mode.
-    Notch-like starts have a first section that is a notch at the mode with poles below it; the other sections are
-    leads, lags or notches anywhere. With gains linear in time, half of the notch-like starts and a tenth of the starts
-    from the whole bounds reach the best optimum of F3 to F5.
+    General starts use the bounds, with frequencies limited to a factor of `SPAN` squared above or below the first mode.
+    Notch-like starts have a notch at the mode with poles below it as their first section, and leads, lags or notches at
+    any frequency as the others. With gains linear in time, half of the notch-like starts and a tenth of the general
+    starts reach the best optimum of F3 to F5.
     """
     low, high = lower.copy(), upper.copy()
     frequency = np.array([name.endswith("_hz") for name in layout.names], bool)
@@ -429,11 +451,10 @@ def random_ranges(layout: FilterVariables, lower: Array, upper: Array, mode_hz: 
 
 
 def lifted(filter_: BendingFilter, layout: FilterVariables, mode_hz: float) -> BendingFilter | None:
-    """Return a filter of `layout` with the same response, by adding cancelling pairs.
+    """Return a filter of `layout` with the same response, extended by cancelling pairs of poles and zeros.
 
-    Return None if this is not sufficient.
-
-    A first-order section without a matching section becomes a quadratic section with a cancelling pair.
+    A surplus first-order section becomes a quadratic section with a cancelling pair. Returns None if the filter still
+    does not fit the layout.
     """
     quadratic, first_order = list(filter_.quadratic), list(filter_.first_order)
     while len(first_order) > layout.first_order and len(quadratic) < layout.quadratic:

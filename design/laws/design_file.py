@@ -1,4 +1,4 @@
-"""Design files: the search for a design by its name, and the writing of a design that simrun flies unaltered."""
+"""Design files: search for a design by its name, and output of a design that simrun flies unaltered."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ from maxq.sim.scenario.schema_design import Design, DesignBasis, RollSection, St
 DESIGN_NAME = "design.toml"
 _DIGITS = 9
 _PLAIN_LIST = re.compile(r"\[\n((?: +[-+.\w\"]+,\n)+) *\]")
-"""A list of numbers or words, each on its own line."""
+"""A pattern for a list of numbers or words with each element on its own line."""
 
 
 def design_path(name: str) -> str:
-    """Return the path with which a scenario names the design that a user calls `name`.
+    """Return the path by which a scenario refers to the design that a user calls `name`.
 
-    The name is that of a built-in design, of a design file, or of a folder with a design.toml that a case has written.
+    `name` is a built-in design, a design file, or a folder that contains the design.toml of a case. Raises
+    ScenarioError if none of these exists.
     """
     path, known = Path(name), builtin_files("design")
     if not name:
@@ -49,9 +50,10 @@ def design_path(name: str) -> str:
 
 
 def load_design(name: str | Path, beside: LoadedScenario | str | Path = "nominal") -> Design:
-    """Load the design in a file, or the built-in one (`designs/...`). Raises ScenarioError.
+    """Load a design from a file or from the built-in designs (`designs/...`).
 
-    A design is read as part of a scenario, `beside`. The folder of this scenario is among those searched for the file.
+    The design is read as part of the scenario `beside`, whose folder is also searched for the file. Raises
+    ScenarioError.
     """
     label = beside.label if isinstance(beside, LoadedScenario) else beside
     design = load_scenario(label, [f'design="{Path(name).as_posix()}"']).design
@@ -68,7 +70,10 @@ def design_of(
     roll: RollSection | None = None,
     basis: DesignBasis | None = None,
 ) -> Design:
-    """Return a design with numbers of nine digits, so that the numbers written, judged and flown are the same."""
+    """Return a design whose numbers are rounded to nine digits.
+
+    The written, verified and flown numbers are thus identical.
+    """
     rounded = json.loads(json.dumps(law.tables()), parse_float=lambda text: float(f"{float(text):.{_DIGITS}g}"))
     given = {"schema": 2, "name": name, "description": description, "vehicle": vehicle, **rounded}
     design = Design.model_validate(plain(adopt(given, Source("design"))))
@@ -76,7 +81,7 @@ def design_of(
 
 
 def design_text(design: Design, comments: Sequence[str] = ()) -> str:
-    """Return the design as TOML that reads back to the same numbers. `comments` precede it."""
+    """Return the design as TOML text that reads back to the same numbers, preceded by the lines of `comments`."""
     kept = design.model_dump(by_alias=True, exclude_none=True).items()
     content = {key: value for key, value in kept if value not in ("", ())}
     laws: list[Design | StageLaw] = [design, *design.stage]
@@ -100,13 +105,16 @@ def design_text(design: Design, comments: Sequence[str] = ()) -> str:
 
 
 def _without_empty(filter_: dict[str, Any]) -> dict[str, Any]:
-    """Return a filter, or a point of its schedule, without its empty lists of sections."""
+    """Return a filter section, and each point of its schedule, without empty lists of sections."""
     kept = {key: value for key, value in filter_.items() if value != ()}
     return kept | ({"schedule": [_without_empty(point) for point in kept["schedule"]]} if "schedule" in kept else {})
 
 
 def forget_pictures(folder: Path) -> None:
-    """Remove the pictures and the page of an earlier run, since they show another design. Other files remain."""
+    """Remove the plots and pages of an earlier run from a folder, since they show another design.
+
+    Other files remain.
+    """
     for page in ("design.html", "analysis.html"):
         (folder / page).unlink(missing_ok=True)
     for stem in ("vehicle-*", "gains", "filter", "margins", "lobes", "loop-*s", "orders-*"):

@@ -1,10 +1,11 @@
-"""A law on drifts as a law on the measurements of which navigation makes them: lateral acceleration and angle.
+"""A law on drifts, expressed as a law on the measurements from which navigation derives them: acceleration and angle.
 
     C_accel = C_v I + C_z I^2,    C_angle = C_angle - a_x C_accel,    I = T z / (z - 1)
 
-for `drift_mps` (v) and `drift_m` (z). It serves tools that know sensors only: all axes together (loop/multiloop.py) and
-the slopes of a search (verify/worst.py). A loop of one plane integrates in its path (loop/fixed_path.py), where the
-integral of a plant's own rate of change adds no pole.
+for `drift_mps` (v) and `drift_m` (z), with the axial specific force a_x. Analyses that represent sensors only use this
+form: loops of all axes together (loop/multiloop.py) and the slopes of a search (verify/worst.py). The loop of a single
+plane integrates in its path instead (loop/fixed_path.py), where the integral of a rate of change of the plant adds no
+pole.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ ANGLE = "angle_rad"
 
 @dataclass(frozen=True)
 class Navigated:
-    """A sampled law with its navigation (`law.Controller`). `axial_mps2` is the axial specific force."""
+    """A sampled law in series with its navigation (`law.Controller`). `axial_mps2` is the axial specific force."""
 
     law: Controller
     axial_mps2: float
@@ -68,7 +69,7 @@ class Navigated:
         wanted, t, inputs = self.law.inputs, self.sample_s, self.inputs
         sums = 1 + max(k for k, name in enumerate(DRIFTS) if name in wanted)
         across = np.array([{ACCELERATION: 1.0, ANGLE: -self.axial_mps2}.get(name, 0.0) for name in inputs])
-        # v and z include the increment of this sample
+        # drift velocity and displacement include the increment of the present sample
         a, through = np.array([[1.0, 0.0], [t, 1.0]])[:sums, :sums], np.array([t, t * t])[:sums]
         c, d = np.zeros((len(wanted), sums)), np.zeros((len(wanted), len(inputs)))
         for row, name in enumerate(wanted):
@@ -85,5 +86,5 @@ class Navigated:
 
 
 def navigated(law: Controller, axial_mps2: float, sample_s: float) -> Controller:
-    """Return a sampled law on sensors: the same law unless it uses a drift."""
+    """Return a sampled law with sensor measurements as its inputs. A law that uses no drift is returned unchanged."""
     return Navigated(law, axial_mps2, sample_s) if any(name in DRIFTS for name in law.inputs) else law

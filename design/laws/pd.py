@@ -1,11 +1,10 @@
-"""The linear side of the proportional-derivative law with its bending filter (Lee, Ahn & Roh eqs 33, 37 to 41).
+"""The linear model of the proportional-derivative law with its bending filter (Lee, Ahn & Roh, eqs 33, 37 to 41).
 
     C = F(s) (k_p, k_d, k_i)  on  (angle_rad, rate_radps, angle_integral_rads)
 
-with k_i = 0 here. With an integral it is the law of pid.py, with the lateral acceleration that of load_relief.py, and
-with the drift that of drift.py.
-The rate may be blended from several gyros (control/sensors.py); each gyro then has the gain k_d times its weight. The
-kernel of the law is control/laws/pd.py.
+with k_i = 0 here. pid.py adds the integral, load_relief.py the lateral acceleration, and drift.py the drift. The rate
+may be blended from several gyros (control/sensors.py); each gyro then has the gain k_d times its weight. The kernel of
+the law is control/laws/pd.py.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from maxq.sim.packing.computer import bending_filter, gain_schedules
 from maxq.sim.scenario.schema_design import Design, FilterSection
 
 LoopFilter = tuple[BendingFilter, Discretization, float | None]
-"""A loop's own continuous filter, its discretisation, and its prewarping frequency."""
+"""The continuous filter of a single loop, its discretisation, and its prewarping frequency in Hz."""
 BANKS = ("attitude", "rate", "acceleration")
 
 
@@ -42,11 +41,10 @@ BANKS = ("attitude", "rate", "acceleration")
 class Pd:
     """The law at one instant (`law.Controller`).
 
-    Without a `filter`, its response is 1. Raises ValueError for gains that are not finite.
-
-    `blend` contains the weights of the first gyro and of further ones. `lag` is that of the acceleration, with a gain
-    k_a or k_alpha. The latter needs `percussion_m` and `accel_per_incidence_mps2` of control/laws/load_relief.py.
-    `loops` contains separate filters of attitude error, rate and acceleration.
+    `filter` of None is a response of 1. `blend` contains the weights of the first gyro and of the further gyros. `lag`
+    filters the acceleration and is used with a gain k_a or k_alpha. The gain k_alpha also needs `percussion_m` and
+    `accel_per_incidence_mps2` (control/laws/load_relief.py). `loops` contains separate filters of attitude error, rate
+    and acceleration. Raises ValueError for gains that are not finite.
     """
 
     k_p: float
@@ -93,16 +91,20 @@ class Pd:
 
     @property
     def _per_mps2(self) -> float:
-        """Return k_alpha per acceleration, s2/m."""
+        """Return k_alpha per unit of acceleration, rad s2/m."""
         return self.k_alpha / self.accel_per_incidence_mps2
 
     @property
     def _weights(self) -> dict[str, float]:
-        """Return the weights of the rates."""
+        """Return the blending weight of each rate measurement by its name."""
         return {"rate_radps": self.blend[0], **{further_rate(k): w for k, w in enumerate(self.blend[1:], 2)}}
 
     def _of_inputs(self, loops: Sequence[Any], lag: Any, change: Any) -> ComplexArray:
-        """Return C without the bending filter, (..., inputs), from responses of the loop filters and of the lag."""
+        """Return C without the bending filter, (..., inputs).
+
+        `loops` are the responses of the loop filters, `lag` that of the lag, and `change` that of lag and
+        differentiation in series.
+        """
         attitude, rate, acceleration = loops
         turning = (self.k_d_s - self._per_mps2 * self.percussion_m * change) * rate
         found = {name: weight * turning for name, weight in self._weights.items()}
@@ -113,7 +115,7 @@ class Pd:
 
     @property
     def _static(self) -> dict[str, float]:
-        """Return the gains at zero frequency by measurement, that of the acceleration last."""
+        """Return the gain at zero frequency by measurement, with the acceleration last."""
         rates = {name: self.k_d_s * weight for name, weight in self._weights.items()}
         own = {"angle_rad": self.k_p, "rate_radps": rates.pop("rate_radps"), "angle_integral_rads": self.k_i_ps}
         drifts = dict(zip(DRIFTS, (-self.k_zd_radspm, -self.k_z_radpm), strict=True))
@@ -161,7 +163,7 @@ def _on_axis(filter_: AnyFilter, frequencies_hz: Array) -> ComplexArray:
 class PdDesign:
     """The law of a design file (`law.DesignedLaw`): schedules of the gains in pitch and yaw, and of the filter.
 
-    The filter is continuous, and over the same variable as the gains.
+    The filter is stored in continuous form. It is scheduled over the same quantity as the gains.
     """
 
     pitch: GainSchedule
@@ -198,14 +200,14 @@ class PdDesign:
 
     @cached_property
     def _table(self) -> Cubics:
-        """Return the gain table as the flight computer interpolates it."""
+        """Return the gain table with the interpolation of the flight computer."""
         return gains_table(self.pitch, self.yaw)
 
     @staticmethod
     def frozen(design: Design, at: float) -> Design:
-        """Return the design with the gains and the filter of one instant at all times and a total gain of 1.
+        """Return the design with its gains and filter frozen at one instant, and without adaptation of the total gain.
 
-        `at` is as in `law.DesignedLaw`.
+        `at` is a value of the scheduling quantity, as in `law.DesignedLaw`.
         """
         law = PdDesign.of(design)
         laws = [law.at(at, "pitch", None), law.at(at, "yaw", None)]
@@ -257,7 +259,7 @@ class PdDesign:
         return {"gains": gains, "filter": form | {"prewarp_hz": self.prewarp_hz}, **more}
 
     def _filter_section(self) -> dict[str, Any]:
-        """Return the bending filter as a table of a design file."""
+        """Return the bending filter as the section of a design file."""
         each = [_section((one, self.discretization, self.prewarp_hz)) for one in self.filter.filters]
         if not self.filter.moves:
             return each[0]
@@ -269,13 +271,13 @@ class PdDesign:
 
 
 def as_flown(own: LoopFilter, sample_s: float | None) -> BendingFilter | DiscreteFilter:
-    """Return the filter, continuous or as the flight computer runs it at a period."""
+    """Return the filter as the flight computer runs it at a period, or in continuous form for a period of None."""
     form, discretization, prewarp_hz = own
     return form if sample_s is None else form.discretize(sample_s, discretization, prewarp_hz)
 
 
 def _section(own: LoopFilter) -> dict[str, Any]:
-    """Return a filter as a table of a design file."""
+    """Return a filter as the section of a design file."""
     form, discretization, prewarp_hz = own
     out: dict[str, Any] = {
         "structure": structure_of(len(form.quadratic), len(form.first_order)),

@@ -1,7 +1,7 @@
-"""The variables of the proportional-derivative law (pd.py) for the optimiser: gains at nodes, bending filter, gyro
-weights, filters of each loop.
+"""The variables of the proportional-derivative law (pd.py) for the optimiser.
 
-With an integral they are those of pid.py, with load relief those of load_relief.py, with the drift those of drift.py.
+They are the gains at nodes and the parameters of the bending filter, the gyro weights, and the loop filters. The
+integral adds variables in pid.py, load relief in load_relief.py, and drift feedback in drift.py.
 """
 
 from __future__ import annotations
@@ -37,18 +37,19 @@ from maxq.design.model.instruments import ACCELERATION, further_rate
 from maxq.design.model.state_space import ComplexArray
 
 LEAPS = ((0.3, 0.0), (0.2, 0.1), (0.03, 0.15))
-"""The sizes of random steps, used in turn: of the filter's variables and of the gains. Of sixteen steps of each
-kind from the second-best end of F3 with free gains, 6, 5 and 3 found the best.
+"""The sizes of random steps in the filter variables and in the gains, used in turn.
+
+From the second-best optimum of F3 with free gains, 6, 5 and 3 of sixteen steps of each kind reached the best optimum.
 """
-START_HZ, START_ZETA = 0.3, 0.5  # of the rigid body with its aerodynamics, if no limit requires more
-GAIN_FACTOR = 1.02  # of the starting gains relative to the least that meet the limits
-HERTZ, ZETA, AT_INFINITY = range(3)  # numbers of `PdVariables.limits`
+START_HZ, START_ZETA = 0.3, 0.5  # of the rigid body with aerodynamics at the start, if no limit requires more
+GAIN_FACTOR = 1.02  # starting gains relative to the lowest gains that meet the limits
+HERTZ, ZETA, AT_INFINITY = range(3)  # indices in `PdVariables.limits`
 GAIN_OF = {"angle_rad": "k_p", "angle_integral_rads": "k_i_ps"}
 GAIN_OF |= {"drift_mps": "k_zd_radspm", "drift_m": "k_z_radpm"}
 BOUNDS_OF = {"k_zd_radspm": (1e-7, 1.0), "k_z_radpm": (1e-9, 1.0)}  # others: GAIN_BOUNDS
 AIR = ("percussion_m", "accel_per_incidence_mps2")
 ValueAndSlopes = tuple[ComplexArray, ComplexArray, ComplexArray]
-"""The values at points with their first and second derivatives by x = ln f."""
+"""The values at points with their first and second derivatives with respect to x = ln f."""
 
 
 def _product(a: ValueAndSlopes, b: ValueAndSlopes) -> ValueAndSlopes:
@@ -59,13 +60,17 @@ UNIT_OF: dict[Over, str] = {"time_s": " s", "speed_mps": " m/s", "mass_kg": " kg
 
 
 class PdVariables:
-    """The variables of the law PD (`law.LawVariables`): those of the filter, then ln k_p and ln k_d at the gain nodes.
+    """The variables of the PD law (`law.LawVariables`).
 
-    The filter is in bending_filter.py. If the rate is blended, the weights of the further gyros follow, equal for
-    all plants; the first weight makes the sum 1. The variables of the loops' own filters are last. A scheduled filter
-    has variables at each of its nodes. The parameters of one plant are the variables of its filter, ln k_p, ln k_d, the
-    weights and the loops' filters. Load relief by angle of attack adds two parameters that no variable changes: 1 / b
-    and -p / b (control/laws/load_relief.py).
+    The variables are, in this order:
+
+    1. the filter variables (bending_filter.py), at each node of a scheduled filter
+    2. ln k_p and ln k_d at the gain nodes
+    3. the weights of the further gyros if the rate is blended, equal for all plants; the first weight makes the sum 1
+    4. the variables of the separate filters of the loops
+
+    The own parameters of one plant are the variables of its filter, ln k_p, ln k_d, the weights and the loop filters.
+    Load relief by angle of attack adds two fixed parameters, 1 / b and -p / b (control/laws/load_relief.py).
     """
 
     inputs: tuple[str, ...] = MEASUREMENTS[:2]
@@ -73,12 +78,11 @@ class PdVariables:
     poles_at_zero = 0
 
     def __init__(self, task: Task, like: PdVariables | None = None, schedule: str | None = None) -> None:
-        """Set up the variables.
+        """Set up the variables of a task.
 
-        `like` is another instance of the same case; its results are reused: the gains of a two-phase design, and the
-        frequency at which its filter is prewarped.
-
-        `schedule` replaces that of the case.
+        `like` is another instance of the same case. The gains of a two-phase design and the prewarping frequency of the
+        filter are taken from it. `schedule` replaces the gain schedule of the case. Raises UnsolvableError if the
+        prewarping frequency is not below half the sample rate.
         """
         case = task.case
         self.task = task
@@ -110,7 +114,7 @@ class PdVariables:
         fixed: Array | None = None
         if self.schedule == "two-phase":
             wanted, own = case.reference, ~task.dispersed
-            # a nominal plant must follow the reference, and a dispersed one must meet its own limits
+            # nominal plants follow the reference, dispersed plants meet their own limits
             self.rigid_hz = np.where(own | (case.robust is None), wanted.rigid_hz, self.rigid_hz)
             self.rigid_zeta = np.where(own | (case.robust is None), wanted.rigid_zeta, self.rigid_zeta)
             fixed = None if like is None else like.gains.fixed
@@ -138,16 +142,16 @@ class PdVariables:
 
     @property
     def _in_use(self) -> list[tuple[str, FilterVariables]]:
-        """Return the loops that have their own filter."""
+        """Return the loops that have a separate filter, with their names."""
         return [(bank, loop) for bank, loop in zip(BANKS, self.loops, strict=True) if loop.size > 0]
 
     def _bounds(self, end: int) -> Array:
-        """Return the bounds (49) and (50). `end` 0 selects the lower and 1 the upper bounds."""
+        """Return the lower (`end` 0) or upper (`end` 1) bounds of the variables, (49) and (50)."""
         b = self.task.case.filter.bounds
         quadratic = [math.log(b.zero_hz[end]), b.zero_zeta[end], math.log(b.pole_hz[end]), b.pole_zeta[end]]
         first_order = [math.log(b.first_order_zero_hz[end]), math.log(b.first_order_pole_hz[end])]
         gains = [math.log(BOUNDS_OF.get(key, GAIN_BOUNDS)[end]) for key in self.keys]
-        per_key = self.gains.size // len(self.keys)  # 0 where the gains are no variables
+        per_key = self.gains.size // len(self.keys)  # 0 if the gains are not variables
         filter_ = quadratic * self.filter.quadratic + first_order * self.filter.first_order
         filter_ *= len(self.filter_nodes.nodes)
         weight = (self.task.case.blend or (0.0, 0.0))[end]
@@ -161,9 +165,7 @@ class PdVariables:
         return (*self.filter_nodes.names, *self.gains.names, *weights, *loops)
 
     def split(self, variables: Array) -> list[Array]:
-        """Return the variables of the filter, of the gains, of the weights of further rate gyros, and of the loops'
-        filters.
-        """
+        """Return the variables of the filter, of the gains, of the further gyros' weights, and of the loop filters."""
         return np.split(variables, np.cumsum([self.filter_nodes.size, self.gains.size, self.further]))
 
     # --- own parameters
@@ -207,7 +209,7 @@ class PdVariables:
 
     @property
     def _plain(self) -> bool:
-        """Return True if each gain belongs to one measurement and is constant over frequency."""
+        """Return True if each gain acts on one measurement only and is constant over frequency."""
         signed = any(name in DRIFTS for name in self.inputs)
         return self.further == 0 and self.lag is None and self.in_loops == 0 and not signed
 
@@ -228,8 +230,10 @@ class PdVariables:
         return LogResponse(common, self._on_measurements(own, axis)[0])
 
     def _on_measurements(self, own: Array, axis: Axis) -> tuple[ValueAndSlopes, ComplexArray]:
-        """Return the gains (points, inputs) at own parameters (points, own), with both derivatives by x, and their
-        slopes. The slopes are with respect to the own parameters that follow those of the filter.
+        """Return the gains at own parameters, with both derivatives with respect to x, and their gradients.
+
+        `own` has the shape (points, own), and the gains (points, inputs). The gradients (points, inputs, own parameters
+        after those of the filter) are those of the gains themselves.
         """
         n, keys, points = self.filter.size, self.keys, len(own)
         k, weights = np.exp(own[:, n : n + len(keys)]), own[:, n + len(keys) : n + len(keys) + self.further]
@@ -248,7 +252,7 @@ class PdVariables:
                 continue
             bank = 0 if name in ANGLES else 2 if name == ACCELERATION else 1
             loop, y = self.loops[bank], own[:, at_loops[bank] : at_loops[bank + 1]]
-            # terms: gain, index of the key, a factor of the point and one of frequency
+            # terms: index of the gain's key, factor of each point, factor over frequency
             if bank == 0:
                 terms = [(keys.index(GAIN_OF[name]), np.ones(points), one)]
             elif bank == 1:
@@ -281,7 +285,7 @@ class PdVariables:
         return out, slopes  # type: ignore[return-value]  # three of them
 
     def _gyro(self, name: str) -> int:
-        """Return the number of a further gyro among the weights."""
+        """Return the index of a further gyro among the weights."""
         return next(k for k in range(self.further) if further_rate(k + 2) == name)
 
     def gradient(self, own: Array, axis: Axis, weights: ComplexArray) -> ComplexArray:
@@ -293,7 +297,7 @@ class PdVariables:
         return np.concatenate([self.filter.gradient(own[:, :n], axis[0]), by_gains], axis=1)
 
     def _in_wind(self, own: Array) -> list[LimitValues]:
-        """Return the load, drift and moments of all plants that have such limits."""
+        """Return the load, drift and bending moments in wind, for all plants with limits on them."""
         if not self._of_wind:
             return []
         n, axis = self.filter.size, self.axis(self.task.winds[0].x)
@@ -321,7 +325,10 @@ class PdVariables:
 
     # --- limits that are independent of frequency
     def limit_values(self, own: Array) -> list[LimitValues]:
-        """Return the values of the limits (47), (48) and (46)."""
+        """Return the values of the limits (46) to (48) and of those on the wind response.
+
+        (46) limits the filter gain, (47) the rigid-body frequency, and (48) its damping ratio.
+        """
         n = self.filter.size
         k_p, k_d = np.exp(own[:, n : n + 2]).T
         omega, zeta, by_omega, by_zeta = self._rigid_body(k_p, k_d)
@@ -351,10 +358,11 @@ class PdVariables:
         return [*out, *self._in_wind(own)]
 
     def _rigid_body(self, k_p: Array, k_d: Array) -> tuple[Array, Array, Array, Array]:
-        """Return omega (rad/s) and zeta, (plants,), and the gradients of their logarithms by the own parameters.
+        """Return omega (rad/s) and zeta of the rigid body, (plants,), and the gradients of their logarithms.
 
-        "paper": (35) and (36), s2 + M_delta k_d s + M_delta k_p. "aerodynamic" (erratum 12):
-        s2 + (M_delta k_d - M_q) s + M_delta k_p - M_alpha.
+        The gradients are with respect to the own parameters. The characteristic polynomial for "paper" is (35) and
+        (36), s2 + M_delta k_d s + M_delta k_p. For "aerodynamic" (erratum 12) it is s2 + (M_delta k_d - M_q)
+        s + M_delta k_p - M_alpha.
         """
         r, n = self.task.rigid, self.filter.size
         spring, damper = r.m_delta * k_p, r.m_delta * k_d
@@ -424,9 +432,9 @@ class PdVariables:
         return self._clipped(np.concatenate([form, known, weights, loops]))
 
     def _lifted_loops(self, filters: Sequence[BendingFilter | None]) -> Array | None:
-        """Return the variables of the loops' filters from these, where None means a filter of 1.
+        """Return the variables of the given loop filters, where None is a filter of 1.
 
-        Return None if they do not fit.
+        Returns None if a filter does not fit the layout of its loop.
         """
         parts: list[Array] = []
         for loop, own in zip(self.loops, filters, strict=True):
@@ -441,8 +449,9 @@ class PdVariables:
 
     # --- search
     def starts(self, count: int, seed: int) -> list[Array]:
-        """Return drawn filters, at most half of all starts, then Sobol points: every fourth in the bounds, the others
-        notches.
+        """Return drawn filters, at most half of all starts, followed by Sobol points.
+
+        Every fourth Sobol point is drawn from the bounds, and the others are notch-like.
         """
         mode_hz, gains, n = self.task.first_mode_hz, self._start_gains(), self.filter.size
         filters = [self.filter.variables(f) for f in bending_filter.drawn_filters(self.filter, mode_hz)][
@@ -464,10 +473,10 @@ class PdVariables:
         return [self._clipped(np.concatenate([np.tile(y, count), *rest])) for y in filters]
 
     def _start_gains(self) -> Array:
-        """Return gain variables slightly above the least that meet the limits (47) and (48) as printed.
+        """Return gain variables slightly above the lowest gains that meet the limits (47) and (48) as printed.
 
         The gains also give an unstable body at least the frequency `START_HZ` with M_alpha and M_q included (erratum
-        12). A stable body's restoring moment is not credited, since without gains its path diverges slowly.
+        12). The restoring moment of a stable body is not credited, since its path diverges slowly without gains.
         """
         if self.gains.size == 0:
             return np.zeros(0)
@@ -478,7 +487,7 @@ class PdVariables:
         return self._with_more_gains(np.log(GAIN_FACTOR * np.maximum(asked, needed))).ravel()
 
     def _with_more_gains(self, log_gains: Array) -> Array:
-        """Return the logarithms of all starting gains (keys, nodes) from those of k_p and k_d."""
+        """Return the logarithms of all starting gains (keys, nodes), given those of k_p and k_d."""
         return log_gains
 
     def beside(self, variables: Array, lost: IntArray) -> Array | None:
@@ -497,7 +506,7 @@ class PdVariables:
         return np.concatenate([np.full(count, size) for count, size in sizes])
 
     def simpler(self) -> tuple[PdVariables, Callable[[Array], Array]] | None:
-        """Return linear gains that replace many nodes, and a constant filter that replaces a schedule."""
+        """Return a family with linear gains instead of many nodes, and with a constant filter instead of a schedule."""
         many = self.schedule in ("free", "nodes") and len(self.gains.nodes) > 2
         if not many and not self.filter_nodes.moves:
             return None
@@ -515,7 +524,7 @@ class PdVariables:
 
 
 def _gain_nodes(task: Task, schedule: str) -> Array:
-    """Return the rows of the gain table, in the unit of the quantity over which it is scheduled."""
+    """Return the nodes of the gain table, in the unit of the scheduling quantity."""
     gains = task.case.gains
     if schedule == "nodes":
         return np.array(gains.nodes_s if gains.over == "time_s" else gains.nodes, float)
@@ -524,10 +533,11 @@ def _gain_nodes(task: Task, schedule: str) -> Array:
 
 
 def least_gains(rigid: Rigid, weights: Array, rigid_hz: float, rigid_zeta: float, with_air: bool) -> Array:
-    """Return the least k_p, then the least k_d, (2, nodes), in sum over all plants, that meet (47) and (48).
+    """Return the lowest schedules of k_p and then of k_d, (2, nodes), that meet (47) and (48) at all plants.
 
-    This is phase 1 of the paper's two-phase design (5.1). The gain k_d gives the required damping ratio with the k_p in
-    force, not only with the least one. `with_air` includes M_alpha and M_q (erratum 12).
+    The sum over all plants is minimised. This is phase 1 of the paper's two-phase design (5.1). The gain k_d gives the
+    required damping ratio with the scheduled k_p, which may exceed the minimum. `with_air` includes M_alpha and M_q
+    (erratum 12). Raises UnsolvableError.
     """
     omega = 2.0 * math.pi * rigid_hz
     m_alpha, m_q = (rigid.m_alpha, rigid.m_q) if with_air else (0.0, 0.0)

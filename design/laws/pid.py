@@ -1,12 +1,13 @@
-"""The linear side of the proportional-integral-derivative law: the PD law with a third gain (pd.py).
+"""The linear model of the proportional-integral-derivative law: the PD law with a third gain (pd.py).
 
     C = F(z) (k_p, k_d, k_i)  on  (angle_rad, rate_radps, angle_integral_rads)
 
-The integral is the sum over samples, T z / (z - 1), as the computer forms it below its limit. `limits.integral_hz`
-bounds its corner from below, `limits.most_integral_hz` from above. Without the upper bound, an optimum may have a much
-higher corner than required (ksr3-relaxed with F3: 0.4 to 1.5 Hz). Frequency and damping ratio of the rigid body (47,
-48) are those of the law without its integral. They are meaningful only if the corner of the integral is far below them.
-Stability and margins are those of the whole loop. The kernel of the law is control/laws/pid.py.
+The integral is the sum over samples, T z / (z - 1), as the flight computer forms it while its limit is not reached.
+`limits.integral_hz` is the lower bound of the integral's corner frequency, and `limits.most_integral_hz` the upper
+bound. Without the upper bound, an optimum may have a much higher corner than required (ksr3-relaxed with F3: 0.4 to
+1.5 Hz). Frequency and damping ratio of the rigid body (47, 48) are those of the law without its integral. They are
+meaningful only if the corner frequency is far below that of the rigid body. Stability and margins are those of the
+whole loop. The kernel of the law is control/laws/pid.py.
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ from maxq.design.laws.task import DB, Task
 
 
 class PidVariables(PdVariables):
-    """The variables (`law.LawVariables`) of PID: those of PD, then ln k_i at the gain nodes."""
+    """The variables (`law.LawVariables`) of PID.
+
+    The PD variables are followed by ln k_i at the gain nodes.
+    """
 
     inputs: tuple[str, ...] = MEASUREMENTS
     keys: tuple[str, ...] = ("k_p", "k_d_s", "k_i_ps")
@@ -31,14 +35,14 @@ class PidVariables(PdVariables):
         super().__init__(task, like, schedule)
         given = task.case.limits
         self.integral_hz = task.case.integral_hz(task.times_s)
-        self.corners = [(self.integral_hz, 1.0)]  # Hz, and 1 for a bound from below, -1 from above
+        self.corners = [(self.integral_hz, 1.0)]  # bound in Hz, and 1 for a lower or -1 for an upper bound
         if given.most_integral_hz is not None:
             self.corners.append((given.most_integral_hz, -1.0))
         keys = ("integral_hz", "most_integral_hz")[: len(self.corners)]
         self.limits = (*self.limits, *(LawLimit.on(key, True) for key in keys))
 
     def limit_values(self, own: Array) -> list[LimitValues]:
-        """Return the limit values of PD, and k_i / (2 pi k_p)."""
+        """Return the limit values of PD, and those of the integral's corner frequency k_i / (2 pi k_p)."""
         n, plants = self.filter.size, len(own)
         corner_hz = np.exp(own[:, n + 2] - own[:, n]) / (2.0 * math.pi)
         out, first = super().limit_values(own), len(self.limits) - len(self.corners)

@@ -1,4 +1,4 @@
-"""The registry of all control laws by the name that a design or a case states. A new law is a new line here."""
+"""The registry of all control laws, by the name in a design or a case. A new law adds an entry to `LAWS`."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from maxq.sim.scenario.schema_design import Design
 
 @dataclass(frozen=True)
 class LawKind:
-    """The parts of a law.
+    """The functions and inputs of a law.
 
-    `variables` returns those of a task, optionally like others of the same case. `of_design` reads the law from a
-    design file. `frozen` returns the design with the gains of one instant, at a value of the scheduling quantity
-    (`DesignedLaw.at`). `inputs` are all measurements that the law may use.
+    `variables` returns the variables of a task, optionally with the results of another instance of the same case
+    (`PdVariables`). `of_design` reads the law from a design file. `frozen` returns the design with its gains frozen at
+    a value of the scheduling quantity (`DesignedLaw.at`). `inputs` are all measurements that the law may use.
     """
 
     variables: Callable[[Task, Any], LawVariables]
@@ -42,12 +42,12 @@ LAWS: dict[str, LawKind] = {
 
 
 def designed_law(design: Design) -> DesignedLaw:
-    """Return the law of a design. Raises ValueError for a law that is not in `LAWS`."""
+    """Return the law of a design. Raises ValueError if its name is not in `LAWS`."""
     return law_kind(design.law).of_design(design)
 
 
 def law_kind(name: str) -> LawKind:
-    """Return the parts of a law. Raises ValueError for a law that is not in `LAWS`."""
+    """Return the registry entry of a law. Raises ValueError if its name is not in `LAWS`."""
     if name not in LAWS:
         raise ValueError(f"law = {name!r}: allowed is {', '.join(LAWS)}")
     return LAWS[name]

@@ -20,7 +20,7 @@ DB = 20.0 / math.log(10.0)  # dB of a change of a natural logarithm
 
 @dataclass(frozen=True)
 class Rigid:
-    """The derivatives of the vehicles, (plants,): M_delta, M_alpha (1/s2) and M_q (1/s)."""
+    """The rigid-body derivatives of the plants, (plants,): M_delta and M_alpha (1/s2), M_q (1/s)."""
 
     m_delta: Array
     m_alpha: Array
@@ -30,9 +30,8 @@ class Rigid:
 class PlantLimits:
     """The limits of all plants by name, or by station (m) for a bending moment.
 
-    Each has the shape (plants,) and is nan if it is not set.
-
-    `times_s` are those of the plants, since limits may change over time.
+    Each limit has the shape (plants,) and is nan where it is not set. `times_s` are the vehicle times of the plants,
+    since limits may change over time.
     """
 
     def __init__(self, each: Sequence[MarginLimits], times_s: Array) -> None:
@@ -52,15 +51,16 @@ class PlantLimits:
         return self._columns[name]
 
     def asked(self, name: str | float) -> bool:
-        """Return True if any plant has the limit."""
+        """Return True if at least one plant has the limit."""
         return not bool(np.isnan(self[name]).all())
 
 
 @dataclass(frozen=True)
 class Task:
-    """A case and its plants. `sample_s` is the period of sampled loops, or None for continuous ones.
+    """A case and its plants.
 
-    `first_mode_hz` is the mean frequency of the first bending mode.
+    `sample_s` is the period of sampled loops, or None for continuous loops. `first_mode_hz` is the mean frequency of
+    the first bending mode.
     """
 
     case: Case
@@ -70,8 +70,8 @@ class Task:
     limits: PlantLimits
     sample_s: float | None
     first_mode_hz: float
-    further_gyros: int = 0  # whose weights in the blended rate are variables
-    at: Array = field(default_factory=lambda: np.zeros(0))  # (plants,): the quantity over which the gains are scheduled
+    further_gyros: int = 0  # further gyros, whose weights in the blended rate are variables
+    at: Array = field(default_factory=lambda: np.zeros(0))  # (plants,): values of the scheduling quantity
     incidence: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """The coefficients `incidence_by_acceleration` (plants, 2), for a law that uses them."""
-    winds: Winds = ()  # of each plant, if the case defines wind
+    """The coefficients `incidence_by_acceleration` (plants, 2), for a law with feedback of the angle of attack."""
+    winds: Winds = ()  # one for each plant, if the case defines wind

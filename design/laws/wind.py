@@ -1,12 +1,16 @@
-"""The response of the closed loop to wind: root mean squares of load and drift under a spectrum, and their gradients.
+"""The response of the closed loop to wind: rms load, drift and bending moments, and their gradients.
 
     T = G_w - G_u (sum of C_i M_i) / (1 + L),    rms^2 = integral of |T|^2 S df
 
-from the lateral wind to an output, with the law's measurements M_i per wind, the output G_u per command and G_w per
-wind. Load is dynamic pressure times angle of attack (relative to the air at the core's CG). Drift is the lateral
-velocity across the undisturbed path, w - U theta. The bending moment is that of model/sections.py at each of the
-required stations. The frequencies are those of the spectrum's band. The computer is included as in the loop; the wind's
-images beyond its Nyquist frequency are not. An unstable loop has no rms; the optimiser checks stability.
+T is the transfer function from the lateral wind to an output. M_i are the law's measurements per unit of wind, and G_u
+and G_w the output per unit of command and of wind. The outputs are:
+
+- load: dynamic pressure times angle of attack, relative to the air at the core's CG
+- drift: the lateral velocity across the undisturbed path, w - U theta
+- bending moment: the moment of the linear model (model/held.py) at each required station
+
+The integral covers the band of the spectrum. The flight computer is included as in the loop; images of the wind beyond
+the Nyquist frequency are neglected. An unstable loop has no rms value, so the optimiser checks stability separately.
 """
 
 from __future__ import annotations
@@ -22,15 +26,15 @@ from maxq.design.model.state_space import ComplexArray
 from maxq.design.quantities import QUANTITIES, Quantity
 
 LOWEST_HZ, HIGHEST_HZ, POINTS = 0.02, 5.0, 96
-FINE = 0.004  # step of ln f above it, at bending modes: 8e-4 of the mean square at a damping ratio of 0.005
-LOAD, DRIFT, MOMENTS = 0, 1, 2  # outputs: moments have this index and those after it
+FINE = 0.004  # step of ln f above HIGHEST_HZ; error of 8e-4 of the mean square for a damping ratio of 0.005
+LOAD, DRIFT, MOMENTS = 0, 1, 2  # indices of the outputs; the moments begin at the last
 Key = str | float
-"""The key of a quantity: the name of its limit, or the station of a bending moment."""
+"""The key of a quantity: the name of its limit, or the station of a bending moment in m."""
 WIND_LIMITS = ("q_alpha_Padeg", "drift_mps")
 
 
 def quantity(key: Key) -> Quantity:
-    """Return the quantity of a key. The quantity of a station's bending moment has the station in its names."""
+    """Return the quantity of a key. The label and heading of a bending moment include its station."""
     if isinstance(key, str):
         return QUANTITIES[key]
     moment = QUANTITIES["bending_moment"]
@@ -45,15 +49,15 @@ class Spectrum:
     sigma_mps: float
     length_v_m: float
     model: str  # "dryden" or "von-karman"
-    band_hz: tuple[float, float] = (LOWEST_HZ, HIGHEST_HZ)  # nothing counts beyond it
+    band_hz: tuple[float, float] = (LOWEST_HZ, HIGHEST_HZ)  # frequencies outside the band are excluded
 
     def frequencies(self) -> Array:
-        """Return x = ln f of the integral."""
+        """Return the integration points x = ln f."""
         x, top = np.linspace(math.log(LOWEST_HZ), math.log(HIGHEST_HZ), POINTS), math.log(self.band_hz[1])
         return x if top <= x[-1] else np.append(x, np.linspace(x[-1], top, math.ceil((top - x[-1]) / FINE) + 1)[1:])
 
     def weights(self, airspeed_mps: float) -> Array:
-        """Return the parts of sigma^2 by frequency, for sums over `frequencies`."""
+        """Return the contribution of each point of `frequencies` to sigma^2, (m/s)^2."""
         x = self.frequencies()
         time_s = self.length_v_m / airspeed_mps
         p = 2.0 * math.pi * np.exp(x) * time_s * (1.0 if self.model == "dryden" else 1.339)
@@ -70,8 +74,9 @@ class Spectrum:
 class WindResponse:
     """The wind response of a plant at x = ln f (F,), without the law.
 
-    `paths` and `measured` (F, inputs) are those of its measurements per command and per wind. `by_command` and
-    `by_wind` (outputs, F) are those of load, drift, and moments at `stations_m`.
+    `paths` and `measured` (F, inputs) are its measurements per unit of command and of wind. `by_command` and `by_wind`
+    (outputs, F) are load, drift and the moments at `stations_m`, per unit of command and of wind. `weights` (F,) are
+    those of the spectrum.
     """
 
     x: Array
@@ -83,13 +88,14 @@ class WindResponse:
     by_wind: ComplexArray
 
     def output(self, key: Key) -> int:
-        """Return the number of a quantity among the outputs."""
+        """Return the index of a quantity among the outputs."""
         return list(WIND_LIMITS).index(key) if isinstance(key, str) else MOMENTS + self.stations_m.index(key)
 
     def rms(self, outputs: Sequence[int], law: ComplexArray, slopes: ComplexArray) -> tuple[Array, Array]:
-        """Return LOAD (Pa deg), DRIFT (m/s) and MOMENTS (N m) with C (F, inputs), (outputs,), and their gradients.
+        """Return the rms values of the outputs, (outputs,), and their gradients, (outputs, n).
 
-        The gradients (outputs, n) are those for the derivatives `slopes` (F, inputs, n) of C; n = 0 for none.
+        `law` is C (F, inputs). Loads are in Pa deg, drift in m/s and moments in N m. `slopes` (F, inputs, n) are the
+        derivatives of C; n = 0 gives no gradients.
         """
         loop, sensed = 1.0 + (law * self.paths).sum(axis=1), (law * self.measured).sum(axis=1)
         by_command = self.by_command[list(outputs)]

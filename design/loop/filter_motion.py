@@ -1,14 +1,14 @@
-"""The effect on a loop of a bending filter that changes, to first order in the rate of change.
+"""The effect of a changing bending filter on a loop, to first order in the rate of change.
 
-The margins at an operating point are those of the filter at this instant, as if it stayed so. A filter that changes has
-another response. Its integrators (control/filter_schedule.py) obey x' = A x + b u, y = c x + d u with coefficients that
-depend on time. For u = exp(s t), expansion in the rate of change gives
+The margins at an operating point use the filter of that instant as a constant filter. A filter with changing parameters
+has a different response. Its integrators (control/filter_schedule.py) obey x' = A x + b u, y = c x + d u with
+time-dependent coefficients. For u = exp(s t), expansion in the rate of change gives
 
     x = (x0 + x1) exp(s t),    x0 = (s - A)^-1 b,    x1 = -(s - A)^-1 dx0/dt = -(s - A)^-2 (A' x0 + b')
 
-so that the response changes by c x1. The motion changes L by the rest of the loop times c x1. Relative to |1 + L|, this
-is its share of the distance to the critical point. Below 1 the loop remains stable by the small-gain theorem, as far as
-the first order is valid.
+so that the response changes by c x1. L changes by the rest of the loop times c x1. The ratio of this change to |1 + L|
+is the share of the distance to the critical point that the motion uses. If the share is below 1, the loop remains
+stable by the small-gain theorem, within the validity of the first-order expansion.
 """
 
 from __future__ import annotations
@@ -31,16 +31,20 @@ from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.schema_design import Design
 
 MOST_MOTION = 10.0
-"""The largest acceptable share of |1 + L|, %: it changes a modulus margin by 1 dB at most."""
-_MOVE = 1e-4  # relative change of the parameters for differences
+"""The largest acceptable change of L, % of |1 + L|. It changes a modulus margin by at most 1 dB."""
+_MOVE = 1e-4  # relative step of the parameters for finite differences
 _LOWEST_HZ, _POINTS = 0.03, 300
-_AROUND = np.linspace(-6.0, 6.0, 13)  # of a resonance, in half widths
+_AROUND = np.linspace(-6.0, 6.0, 13)  # points around a resonance, in half widths
 
 
 def realisation(filter_: BendingFilter) -> tuple[Array, Array, Array, float]:
-    """Return A (n, n), b (n,), c (n,) and d of the integrators of the flown cascade, in continuous time."""
+    """Return A (n, n), b (n,), c (n,) and d of the integrators of the flown filter cascade, in continuous time."""
     n = 2 * len(filter_.quadratic) + len(filter_.first_order)
-    a, b, signal = np.zeros((n, n)), np.zeros(n), np.zeros(n + 1)  # signal: by the states, and by the input
+    a, b, signal = (
+        np.zeros((n, n)),
+        np.zeros(n),
+        np.zeros(n + 1),
+    )  # signal: coefficients of the states, then of the input
     signal[n] = 1.0
     for i, q in enumerate(filter_.quadratic):
         w, r = 2.0 * np.pi * q.pole_hz, q.pole_hz / q.zero_hz
@@ -58,7 +62,10 @@ def realisation(filter_: BendingFilter) -> tuple[Array, Array, Array, float]:
 
 
 def change_by_motion(filter_: BendingFilter, rates: Array, s: ComplexArray) -> ComplexArray:
-    """Return the change of the response at `s` (points,) if the parameters (`parameters_of`) move at `rates`, 1/s."""
+    """Return the change of the filter's response at `s` (points,) due to parameters that change at `rates`, 1/s.
+
+    The order of the rates is that of `parameters_of`.
+    """
     parameters, structure = parameters_of(filter_), filter_.structure
     speed = float(np.max(np.abs(rates) / np.maximum(np.abs(parameters), 1e-2), initial=0.0))
     if speed == 0.0:
@@ -75,9 +82,9 @@ def change_by_motion(filter_: BendingFilter, rates: Array, s: ComplexArray) -> C
 
 
 def motion_shares(loops: Sequence[Loop], design: Design) -> list[float]:
-    """Return `motion_share` of the loops of a stage in one plane, in %, or none for a constant filter.
+    """Return `motion_share` of each loop of a stage in one plane, %, or an empty list for a constant filter.
 
-    `design` is that of the stage.
+    `design` is the design of the stage.
     """
     flown = bending_filter(design)
     if not flown.moves:
@@ -91,10 +98,10 @@ def motion_shares(loops: Sequence[Loop], design: Design) -> list[float]:
 def motion_share(
     loop: Loop, schedule: FilterSchedule, moves: Sequence[tuple[float, Array]], prewarp_hz: float | None
 ) -> float:
-    """Return the largest change of L by the motion of its filter over all frequencies, in % of |1 + L|.
+    """Return the largest change of L due to the motion of its filter over all frequencies, in % of |1 + L|.
 
-    `moves` are values of the scheduling variable, each with the rates of the parameters there, 1/s. L has the filter at
-    each of these values and the other properties of the operating point.
+    `moves` are values of the scheduling quantity, each with the rates of the filter parameters there, 1/s. L is
+    evaluated with the filter at each of these values and the other properties of the operating point.
     """
     highest_hz = 0.999 * loop.highest_hz if np.isfinite(loop.highest_hz) else 100.0
     near = [r.frequency_hz + r.half_width_hz * _AROUND for r in loop.fixed.resonances()]
@@ -113,11 +120,12 @@ def motion_share(
 def moves_near(
     schedule: FilterSchedule, where: Sequence[OperatingPoint], over: Any
 ) -> Iterator[tuple[OperatingPoint, list[tuple[float, Array]]]]:
-    """Return for each operating point of a stage the motions of its filter between the neighbouring points.
+    """Yield each operating point of a stage with the motions of its filter between the neighbouring operating points.
 
-    They are those at the point itself and at the points of the schedule, on both sides of each. The first and the last
-    operating point also stand for the schedule before and after them. The variable of the schedule changes as it does
-    between the points, the clock by 1 s/s.
+    A motion is a value of the scheduling quantity and the rates of the filter parameters, 1/s. The values are those of
+    the operating point and of the schedule's points, with the rates on both sides of each. The first and the last
+    operating point also represent the schedule before and after them. The rate of the scheduling quantity follows from
+    its change between operating points; for time it is 1 s/s.
     """
     time_s, first = np.unique([node.time_s for node in where], return_index=True)
     x = np.array([where[k].scheduled(over) for k in first])

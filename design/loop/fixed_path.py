@@ -1,27 +1,25 @@
-"""The fixed part of a loop, which the designer of a law cannot change: from the gimbal command to the inputs of the
-law.
+"""The fixed part of a loop, from the gimbal command to the inputs of the law. It does not depend on the law.
 
     L(f) = sum of C_i(f) P_i(f),    P = fixed(f) (integrator(f), 1, integrator(f)^2)
+    for the measurements (angle_rad, rate_radps, angle_integral_rads)
 
-for the measurements (angle_rad, rate_radps, angle_integral_rads)
-with negative feedback (`loop.OpenLoop`). Three kinds with one interface:
+with negative feedback (`loop.OpenLoop`). Three kinds share one interface:
 
 | kind | class | converter, delay, hold | integrator |
 |---|---|---|---|
-| `sampled` | `SampledFixedPath` | as the computer does it: mean over a sample, late command, hold | T z / (z - 1) |
+| `sampled` | `SampledFixedPath` | as in flight: mean over a sample, delayed command, hold | T z / (z - 1) |
 | `pade` | `PadeFixedPath` | the paper's eqs 30 to 32 | 1 / s |
-| `exact` | `ExactFixedPath` | their exact factors, without aliasing | 1 / s |
+| `exact` | `ExactFixedPath` | the exact factors, without aliasing | 1 / s |
 
-For a law that uses further sensors (`senses`), the path includes the responses of their measurements. Navigation
-integrates the lateral acceleration in the axes of the reference trajectory, with the axial specific force a_x:
+For a law with further sensors (`senses`), the path includes the responses of their measurements. Navigation integrates
+the lateral acceleration in the axes of the reference trajectory, with the axial specific force a_x:
 
     drift_mps = integrator (accel_mps2 - a_x angle_rad),    drift_m = integrator drift_mps
 
-A loop can be opened at three points (`Cut`). `gimbal_command` is the loop's own point and gives the margins of the
-loop. The other two follow eq. 42 to the letter: from the commanded rate q_c to the pitch rate q of the rigid body, or
-to q_m at the gyro. This command acts on the angle alone (33) and passes no gyro and no converter. `takes_rate` is then
-False and the measured rate has no part. These two are not loops: 1 + L = 0 gives no information about stability there
-(erratum 16).
+A loop can be opened at three points (`Cut`). `gimbal_command` gives the margins of the loop. The other two are those of
+eq. 42: from the commanded rate q_c to the pitch rate q of the rigid body, or to q_m at the gyro. This command acts on
+the angle alone (33) and passes through neither gyro nor converter. `takes_rate` is then False, and the measured rate
+does not contribute. With these two cuts, 1 + L = 0 gives no information about stability (erratum 16).
 """
 
 from __future__ import annotations
@@ -51,12 +49,12 @@ LoopKind = Literal["sampled", "pade", "exact"]
 Cut = Literal["gimbal_command", "rate_command_to_q", "rate_command_to_q_m"]
 KINDS: tuple[LoopKind, ...] = get_args(LoopKind)
 CUTS: tuple[Cut, ...] = get_args(Cut)
-SETTLED = 1e-7  # of the terms that cancel in a quantity at rest: beyond rounding of the linear model
-IMAGES = 8  # on either side of a mode's own part; they decrease at least with the third power of their number
+SETTLED = 1e-7  # relative to the cancelling terms of a steady quantity; above the rounding of the linear model
+IMAGES = 8  # on each side of the baseband; they decrease at least with the third power of their number
 
 
 class FixedPath(abc.ABC):
-    """The base of all kinds of path. `response` and `integrator` accept frequencies in Hz of any shape."""
+    """The base class of all kinds of path. `response` and `integrator` accept frequencies in Hz of any shape."""
 
     kind: ClassVar[LoopKind]
 
@@ -66,10 +64,10 @@ class FixedPath(abc.ABC):
         self.node, self.cut = node, cut
         self.sensors = node.instruments.sensors if senses and cut == "gimbal_command" else ()
         self.takes_rate = cut == "gimbal_command"
-        self.measurements: tuple[str, ...] = MEASUREMENTS[: 2 if self.takes_rate else 1]  # of the usual law
-        ideal = bool(node.actuator.ideal)  # that of one applies to all
+        self.measurements: tuple[str, ...] = MEASUREMENTS[: 2 if self.takes_rate else 1]  # those of the basic law
+        ideal = bool(node.actuator.ideal)  # the actuators are all ideal or all real
         output = "q_radps" if cut == "rate_command_to_q" else "local_rate_radps"
-        # an ideal actuator is at rest between commands: the corners of the staircase excite no mode
+        # an ideal actuator is at rest between commands; the reaction to its steps is neglected
         inputs = tuple(name for name in node.plant.inputs if not ideal or name.startswith("delta_rad"))
         self.vehicle = channels(node.plant, (output, *(name for name, _, _ in self.sensors)), inputs)
         self._actuator = None if ideal else actuators(node.actuators)
@@ -79,19 +77,19 @@ class FixedPath(abc.ABC):
     @property
     @abc.abstractmethod
     def highest_hz(self) -> float:
-        """Return the Nyquist frequency, or infinity."""
+        """Return the Nyquist frequency of a sampled path, or infinity."""
 
     @property
     @abc.abstractmethod
     def sample_s(self) -> float | None:
-        """Return the period of a sampled path, or None for a continuous one."""
+        """Return the period of a sampled path, s, or None for a continuous path."""
 
     def with_inputs(self, measurements: Iterable[str]) -> FixedPath:
-        """Return the path with the further sensors that a law needs.
+        """Return the path with the further sensors that the measurements of a law need.
 
-        With a drift among the measurements, gravity is the axial load, as in the frame of the trajectory. The gravity
-        of the flown instant does not fit a model of constant speed. Raises ValueError for a measurement that the
-        vehicle does not have.
+        With a drift among the measurements, gravity is set to the axial load, as in the frame of the trajectory. The
+        gravity of the flown instant is inconsistent with a model of constant speed. Raises ValueError if the vehicle
+        has no sensors beyond the gyro.
         """
         if all(name in MEASUREMENTS for name in measurements):
             return self
@@ -102,16 +100,17 @@ class FixedPath(abc.ABC):
 
     @abc.abstractmethod
     def responses(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """Return the responses from gimbal command to the means of the rate and of each further sensor's measurement,
-        (..., outputs).
+        """Return the responses from gimbal command to the mean rate and to each further sensor's mean measurement.
+
+        The shape is (..., outputs).
         """
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """Return fixed(f), from gimbal command to mean rate, in the shape of `frequencies_hz`."""
+        """Return the response from gimbal command to mean rate, in the shape of `frequencies_hz`."""
         return np.asarray(self._remembered(np.asarray(frequencies_hz, float))[..., 0])
 
     def _remembered(self, f: Array) -> ComplexArray:
-        """Return `responses`, and cache the latest result, since the measurements are requested one at a time."""
+        """Return `responses` from a cache of the latest result, since callers request one measurement at a time."""
         if not self.sensors:
             return self.responses(f)
         key = f.tobytes() + str(f.shape).encode()
@@ -121,19 +120,19 @@ class FixedPath(abc.ABC):
 
     @abc.abstractmethod
     def integrator(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """Return the ratio of angle to mean rate, s, in the shape of `frequencies_hz`."""
+        """Return the ratio of angle to mean rate, in s and in the shape of `frequencies_hz`."""
 
     @abc.abstractmethod
     def state_space(self) -> StateSpace:
-        """Return the state space from gimbal command to mean rate, without direct feedthrough, in z for a sampled
-        path.
+        """Return the state space from gimbal command to mean rate, without direct feedthrough.
+
+        It is a discrete system for a sampled path. Further sensors are further outputs.
         """
 
     def ratio(self, measurement: str, frequencies_hz: ArrayLike) -> ComplexArray:
-        """Return the ratio of a measurement to the mean rate in the shape of the frequencies, or 0 if the cut excludes
-        it.
+        """Return the ratio of a measurement to the mean rate, in the shape of the frequencies.
 
-        Raises ValueError for an unknown measurement.
+        The ratio is 0 for a rate that the cut excludes. Raises ValueError for an unknown measurement.
         """
         f = np.asarray(frequencies_hz, float)
         further = [name for name, _, _ in self.sensors]
@@ -152,10 +151,10 @@ class FixedPath(abc.ABC):
         return np.full(f.shape, 1.0 if self.takes_rate else 0.0, np.complex128)
 
     def measured(self, measurements: tuple[str, ...], *, states_of_sums: bool = False) -> StateSpace:
-        """Return the system from gimbal command to measurements, with the integrators of the angle, in z for a sampled
-        path.
+        """Return the state space from gimbal command to measurements, including the integrators of angle and drift.
 
-        An integral that is a combination of the path's states adds no state, unless `states_of_sums` is True.
+        It is a discrete system for a sampled path. An integral that is a combination of the path's states adds no
+        state, unless `states_of_sums` is True.
         """
         path, period = self.state_space(), self.sample_s
         system = _Summed(
@@ -168,10 +167,10 @@ class FixedPath(abc.ABC):
             states += system.add("angle_rad", path.c[0], known=self.rests_at_dc and not states_of_sums)
         if set(measurements) & set(DRIFTS):
             if ACCELERATION not in system.rows:
-                self.ratio(DRIFTS[0], 1.0)  # raises the error
+                self.ratio(DRIFTS[0], 1.0)  # raises the ValueError
             across = system.rows[ACCELERATION] - self.node.axial_load_mps2 * system.rows["angle_rad"]
             states += system.add(DRIFTS[0], across, known=self.drift_rests_at_dc and not states_of_sums)
-        # integrals that are states come last: with their poles at zero, a known integral would not be unique
+        # integrals that are states are added last: with their poles at zero, a known integral would not be unique
         if ANGLES[1] in measurements:
             states += system.add(ANGLES[1], system.rows["angle_rad"])
         if DRIFTS[1] in measurements:
@@ -180,7 +179,7 @@ class FixedPath(abc.ABC):
         return StateSpace(system.a, system.b, c, np.zeros((len(c), 1)), tuple(states), path.inputs, measurements)
 
     def named_poles(self) -> list[NamedPole]:
-        """Return the poles of actuator, vehicle and gyro and their owners, rad/s, not folded.
+        """Return the poles of actuator, vehicle and sensors with their owners, rad/s, without folding.
 
         Each part is treated separately, since a series connection preserves the poles. The poles of a pure delay are
         omitted.
@@ -201,12 +200,12 @@ class FixedPath(abc.ABC):
         return vehicle_poles(self.vehicle)
 
     def poles(self) -> ComplexArray:
-        """Return the poles in rad/s, those of a sampled path as log(z) / T."""
+        """Return the poles, rad/s. A pole z of a sampled path is converted to log(z) / T."""
         found = np.array([p.pole_radps for p in self.named_poles()], np.complex128)
         return found if self.sample_s is None else folded(found, self.sample_s)
 
     def resonances(self, below_zeta: float = 0.3) -> list[Resonance]:
-        """Return the oscillatory poles with a damping ratio below `below_zeta`, by frequency."""
+        """Return the oscillatory poles with a damping ratio below `below_zeta`, in rising order of frequency."""
         found = resonances(self.named_poles(), below_zeta, self.sample_s)
         return [replace(r, part=self._own_parts[r.number]) if r.kind == "bending" else r for r in found]
 
@@ -214,7 +213,7 @@ class FixedPath(abc.ABC):
     def _own_parts(self) -> dict[int, complex]:
         """Return `Resonance.part` of each bending mode by its number.
 
-        With further sensors, it is that of the measurement in which the mode is strongest relative to the rest.
+        With further sensors, the part is that of the measurement in which the mode is strongest relative to the rest.
         """
         modes = [p for p in self._vehicle_poles if p.kind == "bending" and p.pole_radps.imag > 0.0]
         if not modes:
@@ -231,22 +230,25 @@ class FixedPath(abc.ABC):
         ]
         with np.errstate(divide="ignore", invalid="ignore"):
             parts = np.stack(each, axis=-1) / self.responses(s.imag[:, s.shape[1] // 2] / (2.0 * math.pi))
-        parts = np.where(np.isfinite(parts), parts, 1.0)  # of an undamped mode
+        parts = np.where(np.isfinite(parts), parts, 1.0)  # an undamped mode has an infinite response
         return {p.number: complex(max(row.tolist(), key=dominance)) for p, row in zip(modes, parts, strict=True)}
 
     def _sensed(self, s: ComplexArray, vehicle: ComplexArray, output: int) -> ComplexArray:
-        """Return a response (..., inputs) of the vehicle through the actuators and the gyro, or sensor `output`."""
+        """Return the response of the vehicle (..., inputs) in series with actuators and gyro, per gimbal command.
+
+        `output` 0 selects the gyro, and a higher index a further sensor.
+        """
         out = per_command(s, vehicle, self.vehicle.inputs, self.node.actuators)
         sensor = self.sensors[output - 1][1] if output > 0 else self.node.instruments.gyro
         return out if sensor.ideal or not self.takes_rate else out * lag(s, sensor.omega_radps, sensor.zeta)
 
     @abc.abstractmethod
     def computer_at(self, s: ComplexArray) -> ComplexArray:
-        """Return the converter, delay and hold at complex s, rad/s, without aliasing."""
+        """Return the response of converter, delay and hold at complex s, rad/s, without aliasing."""
 
     @cached_property
     def continuous(self) -> StateSpace:
-        """Return the actuator, vehicle and gyro in series."""
+        """Return the state space of actuators, vehicle and sensors in series."""
         parts = []
         if self._actuator is not None:
             parts.append(channels(self._actuator, self.vehicle.inputs))
@@ -258,7 +260,7 @@ class FixedPath(abc.ABC):
         return chain(*parts)
 
     def _lags(self) -> StateSpace:
-        """Return the gyro and further sensors in parallel. Sensors without dynamics pass their inputs on."""
+        """Return the state space of gyro and further sensors in parallel. An ideal sensor is a direct feedthrough."""
         each = [self._gyro, *(None if lag.ideal else gyro(lag) for _, lag, _ in self.sensors)]
         through = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1), (), ("rate",), ("rate",))
         filled = [one or through for one in each]
@@ -268,10 +270,10 @@ class FixedPath(abc.ABC):
 
     @cached_property
     def rests_at_dc(self) -> bool:
-        """Return True if a constant command results in zero rate: the path then has a zero at the integrator's pole.
+        """Return True if a constant command results in zero rate, so that the path has a zero at the integrator's pole.
 
-        This is so if the attitude acts on the motion, because gravity turns in the body. The measured rate is then the
-        derivative of a state, and its integral adds no state.
+        This is the case if the attitude affects the motion, because gravity rotates relative to the body. The measured
+        rate is then the derivative of a combination of states, and its integral adds no state.
         """
         body = self.vehicle
         if "theta_rad" not in body.states:
@@ -284,28 +286,28 @@ class FixedPath(abc.ABC):
     def drift_rests_at_dc(self) -> bool:
         """Return True if a constant command results in zero acceleration across the reference trajectory.
 
-        The drift velocity is then a combination of the path's states. This is so in the air, if gravity is the axial
-        load (`held_still`), and if accelerometer and gyro tilt alike with the bent body.
+        The drift velocity is then a combination of the path's states. This is the case in the atmosphere if gravity is
+        the axial load (`held_still`), and if bending tilts accelerometer and gyro equally.
         """
         body, names = self.vehicle, [name for name, _, _ in self.sensors]
         if not self.rests_at_dc or ACCELERATION not in names:
             return False
         row, settled = 1 + names.index(ACCELERATION), self._settled
-        angle = np.linalg.lstsq(body.a.T, body.c[0], rcond=None)[0]  # at the gyro, by the states
+        angle = np.linalg.lstsq(body.a.T, body.c[0], rcond=None)[0]  # at the gyro, as a combination of the states
         turned = self.node.axial_load_mps2 * float(angle @ settled)
         terms = np.append(body.c[row] * settled, (body.d[row, 0], -turned))
         return bool(abs(terms.sum()) <= SETTLED * np.abs(terms).sum())
 
     @cached_property
     def _settled(self) -> Array:
-        """Return the states of the vehicle under a constant unit angle of the first drive, if there are such."""
+        """Return the least-squares steady states of the vehicle for a constant unit input of the first drive."""
         return np.asarray(np.linalg.lstsq(self.vehicle.a, -self.vehicle.b[:, 0], rcond=None)[0], float)
 
 
 class _ContinuousFixedPath(FixedPath):
-    """The product of factors, each exact.
+    """A continuous path as a product of exact factors.
 
-    No digit is lost by cancellation, in contrast to a sum of partial fractions.
+    In contrast to a sum of partial fractions, the product loses no digits by cancellation.
     """
 
     def __init__(self, node: OperatingPoint, cut: Cut = "gimbal_command", senses: bool = False) -> None:
@@ -334,16 +336,16 @@ class _ContinuousFixedPath(FixedPath):
         return np.asarray(1.0 / (2j * np.pi * np.asarray(frequencies_hz, float)))
 
     def at(self, s: ComplexArray) -> ComplexArray:
-        """Return the transfer function at complex s, rad/s."""
+        """Return the transfer function from gimbal command to mean rate at complex s, rad/s."""
         return np.asarray(self.plant_at(s) * self.computer_at(s))
 
     def plant_at(self, s: ComplexArray, output: int = 0) -> ComplexArray:
-        """Return the actuator, vehicle and gyro, or further sensor number `output`."""
+        """Return the response of actuator, vehicle and gyro, or of further sensor `output`, at complex s, rad/s."""
         return self._sensed(s, self._turning(s)[..., output, :] + self.vehicle.d[output], output)
 
 
 class PadeFixedPath(_ContinuousFixedPath):
-    """The path with the paper's approximations: H_VF [3/3], H_D [2/2], H_DZ [0/2]."""
+    """The path with the paper's Padé approximations: H_VF [3/3], H_D [2/2], H_DZ [0/2]."""
 
     kind = "pade"
 
@@ -373,7 +375,7 @@ class PadeFixedPath(_ContinuousFixedPath):
 
 
 class ExactFixedPath(_ContinuousFixedPath):
-    """The path with the exact factors: average, delay and hold as transcendental functions, without aliasing."""
+    """The path with the exact transcendental functions of average, delay and hold, without aliasing."""
 
     kind = "exact"
 
@@ -387,9 +389,10 @@ class ExactFixedPath(_ContinuousFixedPath):
 
 
 class SampledFixedPath(FixedPath):
-    """The loop as the flight computer runs it. `response` is at z = exp(j w T), up to the Nyquist frequency.
+    """The path as the flight computer samples it.
 
-    The cuts of eq. 42 end at q, or q_m, as a converter without a gyro would count it.
+    `response` is evaluated at z = exp(j w T), up to the Nyquist frequency. The cuts of eq. 42 end at q, or q_m,
+    averaged by the converter without the lag of a gyro.
     """
 
     kind = "sampled"
@@ -430,7 +433,7 @@ class SampledFixedPath(FixedPath):
 
 
 def delayed(path: StateSpace, output: int, samples: int) -> StateSpace:
-    """Return a sampled system without direct feedthrough, with one of its outputs delayed by that number of samples."""
+    """Return a sampled system without direct feedthrough, with output number `output` delayed by `samples`."""
     a, b, c, n = path.a, path.b, path.c.copy(), len(path.a)
     for _ in range(samples):
         a = np.block([[a, np.zeros((len(a), 1))], [c[output : output + 1], np.zeros((1, 1))]])
@@ -445,7 +448,7 @@ def fixed_path(
 ) -> FixedPath:
     """Return the fixed path of an operating point.
 
-    `senses` adds further sensors. Raises ValueError for an unknown kind or cut.
+    `senses` adds the further sensors of the vehicle. Raises ValueError for an unknown kind or cut.
     """
     kinds = {one.kind: one for one in (SampledFixedPath, PadeFixedPath, ExactFixedPath)}
     if kind not in kinds:
@@ -454,22 +457,22 @@ def fixed_path(
 
 
 def folded(poles_radps: ComplexArray, sample_s: float) -> ComplexArray:
-    """Return log(exp(s T)) / T, with imaginary parts between -pi / T and pi / T."""
+    """Return log(exp(s T)) / T, the poles with imaginary parts between -pi / T and pi / T."""
     turn = 2.0 * math.pi / sample_s
     imaginary = poles_radps.imag - turn * np.round(poles_radps.imag / turn)
     return poles_radps.real + 1j * imaginary
 
 
 def sampled_computer(s: ComplexArray, sample_s: float, delay_s: Array | float) -> ComplexArray:
-    """Return the converter, delay and hold of a sampled path for one of its images, at complex s, rad/s."""
+    """Return the response of converter, delay and hold of a sampled path for one image, at complex s, rad/s."""
     return np.asarray(average(s, sample_s) ** 2 * np.exp(-delay_s * np.asarray(s)))
 
 
 def image_points(poles_radps: ComplexArray, sample_s: float | None) -> ComplexArray:
-    """Return the points s on the imaginary axis, (poles, images), that contribute to the response at each pole's
-    frequency.
+    """Return the points s on the imaginary axis that contribute to the response at each pole's frequency.
 
-    The frequency (`own_part.centre_of`) is in the middle. A continuous path (`sample_s` None) has no other image.
+    The shape is (poles, images). The frequency itself (`own_part.centre_of`) is in the middle. A continuous path
+    (`sample_s` None) has no further images.
     """
     rate_hz = 1.0 / (sample_s or 1e-300)
     hz, widths_hz = poles_radps.imag / (2.0 * math.pi), np.abs(poles_radps.real) / (2.0 * math.pi)
@@ -482,19 +485,23 @@ def image_points(poles_radps: ComplexArray, sample_s: float | None) -> ComplexAr
 
 
 class _Summed:
-    """A path with sums of its outputs as further outputs, in z for a sampled path, and the `rows` of all outputs."""
+    """A path that is extended by integrals of its outputs, which become further outputs.
+
+    `rows` are the output rows by name. The integrals are sums for a sampled path.
+    """
 
     def __init__(self, a: Array, b: Array, period: float | None, rows: dict[str, Array]) -> None:
         self.a, self.b, self.period, self.rows = a, b, period, rows
 
     def add(self, name: str, added: Array, known: bool = False) -> list[str]:
-        """Add the integral (the sum, with the addend of the present sample) of an output, and return the new states.
+        """Add the integral of an output to the path and return the names of the new states.
 
-        `known` is True if the integral is a combination of the states, so that it needs none.
+        In a sampled path, the integral is a sum that includes the present sample. If `known` is True, the integral is a
+        combination of the existing states and adds none.
         """
         n, period = len(self.a), self.period
         if known:
-            # combination times the states' rate of change is the output
+            # the combination of the states' rates of change equals the output
             drift, kept = (self.a, 0.0) if period is None else (self.a - np.eye(n), 1.0)
             addend = added if period is None else period * added
             self.rows[name] = kept * addend + np.linalg.lstsq(drift.T, addend, rcond=None)[0]

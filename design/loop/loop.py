@@ -1,4 +1,4 @@
-"""The interface of a loop for margins and plots, and the loop of a fixed path and a control law."""
+"""The interface of a loop for margins and plots, and the loop of a fixed path with a control law."""
 
 from __future__ import annotations
 
@@ -22,32 +22,33 @@ from maxq.sim.scenario.schema_design import Design
 
 
 class OpenLoop(Protocol):
-    """A single loop opened at one point, with negative feedback. The closed loop satisfies 1 + L = 0.
+    """A single loop opened at one point, with negative feedback. The poles of the closed loop satisfy 1 + L = 0.
 
-    L has a positive sign: a stable rigid body under PD control has L = (k_p / s + k_d) times the rest of the loop.
-    Poles are in rad/s; a pole z of a loop sampled with period T is given as log(z) / T.
+    For a stable rigid body under PD control, L = (k_p / s + k_d) times the rest of the loop, with a positive sign.
+    Poles are in rad/s; a pole z of a loop sampled with period T is converted to log(z) / T.
     """
 
     @property
     def highest_hz(self) -> float:
-        """Return the end of the response: the Nyquist frequency of a sampled loop, infinity for a continuous one."""
+        """Return the highest frequency of the response: the Nyquist frequency, or infinity for a continuous loop."""
 
     def response(self, frequencies_hz: Array) -> ComplexArray:
-        """Return L in the shape of `frequencies_hz` (each above 0 and at most `highest_hz`)."""
+        """Return L in the shape of `frequencies_hz`, each above 0 and at most `highest_hz`."""
 
     def open_poles(self) -> ComplexArray:
-        """Return the poles of L, without those that a pure delay has left out."""
+        """Return the poles of L, except those of pure delays."""
 
     def closed_poles(self) -> ComplexArray:
         """Return the zeros of 1 + L."""
 
     @property
     def sample_s(self) -> float | None:
-        """Return the period of a sampled loop."""
+        """Return the period of a sampled loop, s, or None for a continuous loop."""
 
     def factors(self) -> tuple[ComplexArray, ComplexArray] | None:
-        """Return all zeros and all poles of L, in s or in z, or None if they are not known. With them, no pair of
-        crossings is missed.
+        """Return all zeros and all poles of L, in s or in z, or None if they are not known.
+
+        With the factors, the search for crossings misses no pair.
         """
 
 
@@ -55,8 +56,8 @@ class OpenLoop(Protocol):
 class Loop:
     """The open loop L = sum of C_i P_i over the law's inputs (an `OpenLoop`).
 
-    Raises ValueError if path and law do not fit: their sample periods differ, or the path lacks a measurement that the
-    law needs.
+    Raises ValueError if the sample periods of path and law differ, or if the path lacks a measurement that the law
+    uses.
     """
 
     fixed: FixedPath
@@ -72,7 +73,7 @@ class Loop:
 
     @property
     def sample_s(self) -> float | None:
-        """Return the period of a sampled loop, or None for a continuous one."""
+        """Return the period of a sampled loop, s, or None for a continuous loop."""
         return self.fixed.sample_s
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
@@ -81,14 +82,17 @@ class Loop:
         return np.asarray(self.controller(f) * self.fixed.response(f))
 
     def controller(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        """Return L over the fixed path: from the mean rate to the command, in the same shape."""
+        """Return the controller from mean rate to command, in the shape of `frequencies_hz`.
+
+        It is L divided by the response of the fixed path.
+        """
         f = np.asarray(frequencies_hz, float)
         law = self.law.response(f)
         parts = [law[..., i] * self.fixed.ratio(name, f) for i, name in enumerate(self.law.inputs)]
         return np.asarray(sum(parts, np.zeros(f.shape, np.complex128)))
 
     def open_poles(self) -> ComplexArray:
-        """Return the poles of L in rad/s, of a sampled loop log(z) / T."""
+        """Return the poles of L, rad/s. A pole z of a sampled loop is converted to log(z) / T."""
         wanted, fixed = set(self.law.inputs), self.fixed
         at_zero = (
             bool(wanted & {*ANGLES, *DRIFTS}) and not fixed.rests_at_dc,
@@ -99,10 +103,10 @@ class Loop:
         return np.concatenate([fixed.poles(), self.law.poles(), np.zeros(sum(at_zero), np.complex128)])
 
     def closed_poles(self) -> ComplexArray:
-        """Return the zeros of 1 + L in rad/s, of a sampled loop log(z) / T, from the state matrix.
+        """Return the zeros of 1 + L, rad/s, from the state matrix.
 
-        The kind `exact` has infinitely many zeros. They are found from those of the Pade loop by Newton's method, up to
-        twice the Nyquist frequency of the computer.
+        A zero z of a sampled loop is converted to log(z) / T. The kind `exact` has infinitely many zeros. Newton's
+        method finds them from the zeros of the Padé loop, up to twice the Nyquist frequency of the flight computer.
         """
         if isinstance(self.fixed, ExactFixedPath):
             return self._refined_poles(self.fixed)
@@ -114,9 +118,9 @@ class Loop:
         return np.asarray(np.log(values[np.abs(values) > FASTEST]) / self.sample_s)
 
     def state_space(self) -> StateSpace:
-        """Return L as a state space, from the gimbal command around the loop to its negative, in z for a sampled loop.
+        """Return L as a state space, from the gimbal command to the negative of the returned command.
 
-        The kind `exact` has none.
+        It is a discrete system for a sampled loop. Raises ValueError for the kind `exact`.
         """
         return self._state_space
 
@@ -125,17 +129,15 @@ class Loop:
         return chain(self.fixed.measured(self.law.inputs), self.law.state_space())
 
     def factors(self) -> tuple[ComplexArray, ComplexArray] | None:
-        """Return the zeros and poles of L, in s or in z, or None for the kind `exact`, whose delays are not rational
-        functions.
-        """
+        """Return the zeros and poles of L, in s or in z, or None for the kind `exact`, which is not rational."""
         if isinstance(self.fixed, ExactFixedPath):
             return None
         return zeros_and_poles(self.state_space())
 
     def to_state_space(self) -> Any:
-        """Return L as a `control.StateSpace` of python-control, which must be installed. Sampled loops have their dt.
+        """Return L as a `control.StateSpace` of python-control, which must be installed.
 
-        Raises ValueError for the kind `exact`.
+        The `dt` of a sampled loop is its period. Raises ValueError for the kind `exact`.
         """
         import control  # noqa: PLC0415  # optional: nothing here needs it
 
@@ -159,13 +161,13 @@ class Loop:
             step = 1e-6 * (np.abs(s) + 1e-3)
             slope = (self._at(exact, s + step) - self._at(exact, s - step)) / (2.0 * step)
             move = (1.0 + self._at(exact, s)) / slope
-            # at most a tenth at a time: neighbours must not converge to the same zero
+            # limits each step to a tenth, so that neighbours do not converge to the same zero
             move *= np.minimum(1.0, 0.1 * (np.abs(s) + 1e-3) / np.maximum(np.abs(move), 1e-300))
             s = s - move
             if (np.abs(move) < 1e-12 * np.abs(s)).all():
                 break
         s = s[np.abs(1.0 + self._at(exact, s)) < 1e-6]
-        # a zero found from two starts is one zero
+        # removes duplicates found from different starts
         again = np.tril(np.abs(s[:, None] - s[None, :]) < 1e-7 * np.abs(s), -1).any(axis=1)
         return np.asarray(s[~again])
 
@@ -184,24 +186,25 @@ class Loop:
 
 
 def law_at(design: Design, node: OperatingPoint, kind: LoopKind = "sampled") -> Controller:
-    """Return the design's law at the time of an operating point and in its plane, as the flight computer runs it or
-    continuous.
+    """Return the design's law at an operating point and in its plane.
+
+    The law is sampled for `kind` "sampled" and continuous otherwise.
     """
     law = designed_law(design.of_stage(node.stage))
     return law.at(node.scheduled(law.over), node.plane, node.instruments.sample_s if kind == "sampled" else None)
 
 
 def close_loop(path: FixedPath, design: Design) -> Loop:
-    """Return the loop of a fixed path and of the design's law at the operating point."""
+    """Return the loop of a fixed path and the design's law at the operating point of that path."""
     return Loop(path, law_at(design, path.node, path.kind))
 
 
 def loops(
     where: Iterable[OperatingPoint], design: Design, *, kind: LoopKind = "sampled", cut: Cut = "gimbal_command"
 ) -> list[Loop]:
-    """Return a design's loop at each operating point, opened at `cut`.
+    """Return the loop of a design at each operating point, opened at `cut`.
 
-    `kind`: as the flight computer samples it (`sampled`), or continuous with the paper's approximations (`pade`) or
-    with exact factors and no aliasing (`exact`).
+    `kind` is `sampled` (as in the flight computer), `pade` (continuous, with the paper's approximations) or `exact`
+    (continuous, with exact factors and no aliasing).
     """
     return [close_loop(fixed_path(node, kind, cut), design) for node in where]

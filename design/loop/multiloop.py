@@ -1,15 +1,17 @@
-"""The loops of pitch, yaw and roll together, coupled by the vehicle as the simulator flies it.
+"""The combined loops of pitch, yaw and roll, coupled by the vehicle as the simulator flies it.
 
     L(f) = C(f) P(f),    C = diag(C_pitch, C_yaw, C_roll)
 
-closed on det(1 + L) = 0. P is the sampled response from the law's commands, through allocation, to the mean rates that
-the computer counts about all axes. The plant is the linearised simulator (design/model/linearised.py) with products of
-inertia and a roll rate. It includes spatial modes with their torsion and axial motion, engines off the axis, and tanks
-that swing in both planes. Attitude angles are sums of the counts about each body axis (attitude = "rate-integral"). An
-error by quaternion also turns with the roll rate, which has no effect if it is slow relative to the loops' crossovers.
+The poles of the closed loops satisfy det(1 + L) = 0. P is the sampled response from the law's commands, through
+allocation, to the mean rates that the flight computer measures about all axes. The plant is the linearised simulator
+(design/model/linearised.py) with products of inertia and a roll rate. It includes spatial modes with their torsion and
+axial motion, off-axis engines, and tanks with slosh in both planes.
 
-Roll is included if gimbals control it. Thrusters that switch have no linear loop. The roll rate is then free, as it is
-inside their dead band. The roll angle, which acts through gravity alone, is held.
+Attitude angles are sums of the counts about each body axis (attitude = "rate-integral"). A quaternion error also
+rotates with the roll rate. The effect is negligible if the roll rate is small relative to the crossover frequencies.
+
+Roll is included if gimbals control it. Switching thrusters have no linear loop, and the roll rate is then free, as
+inside their dead band. The roll angle is held constant, since only gravity couples it to the motion.
 """
 
 from __future__ import annotations
@@ -41,17 +43,15 @@ from maxq.sim.scenario.schema_design import Design
 
 PLANES: tuple[Plane, Plane] = ("pitch", "yaw")
 AXES = (*PLANES, "roll")
-_HELD = ("x_I_m", "y_I_m", "z_I_m", "u_mps")  # position and speed, as in the model of one plane
+_HELD = ("x_I_m", "y_I_m", "z_I_m", "u_mps")  # position and speed are constant, as in the model of one plane
 
 
 @dataclass(frozen=True)
 class Multiloop:
-    """The loops of `axes`, each with its law, around one plant.
+    """The loops of `axes`, each with its law, around a common plant.
 
-    `path` leads from commands to mean rates in the order of the axes.
-
-    `sensed` lists the measurements of further sensors, by name, in pitch and yaw, and samples of latency. They are
-    outputs of `path` after the rates.
+    `path` maps commands to mean rates, in the order of the axes. `sensed` lists the name and the latency in samples of
+    each further measurement in pitch and yaw. These measurements are outputs of `path` after the rates.
     """
 
     time_s: float
@@ -59,14 +59,14 @@ class Multiloop:
     path: SampledPlant
     laws: tuple[Controller, ...]
     sensed: tuple[tuple[str, int], ...] = ()
-    plant: StateSpace | None = None  # continuous, from commands to the quantities of which `path` gives the means
+    plant: StateSpace | None = None  # continuous, from commands to the quantities that `path` averages
 
     @property
     def highest_hz(self) -> float:
         return 0.5 / self.path.sample_s
 
     def response(self, frequencies_hz: Array) -> ComplexArray:
-        """Return L, (*frequencies.shape, axes, axes): rows are returned commands, columns are given commands."""
+        """Return L, (*frequencies.shape, axes, axes). Rows are returned commands, and columns are applied commands."""
         f = np.asarray(frequencies_hz, float)
         z = np.exp(2j * np.pi * self.path.sample_s * f)
         way, n = self.path.at(z, self._resolvent), len(self.axes)
@@ -82,7 +82,7 @@ class Multiloop:
         """Return the response from the mean rate of each axis to its command, (..., axes)."""
         summed = self.path.sample_s * z / (z - 1.0)
         ratio = dict(zip(MEASUREMENTS, (summed, np.ones_like(z), summed**2), strict=True))
-        none = np.zeros_like(z)  # the outputs of further sensors are not multiples of the rate
+        none = np.zeros_like(z)  # further measurements are not functions of the rate and are added separately
         parts = [
             law.response(f) * np.stack([ratio.get(name, none) for name in law.inputs], axis=-1) for law in self.laws
         ]
@@ -94,16 +94,16 @@ class Multiloop:
 
     @cached_property
     def state_space(self) -> StateSpace:
-        """Return L in z as a state-space system, from the commands to the negatives of the returned commands."""
+        """Return L as a discrete state space, from the commands to the negatives of the returned commands."""
         t, parts, path, n_axes = self.path.sample_s, [], self.path.state_space(), len(self.axes)
-        taken: list[int] = []  # outputs of the path, law by law
+        taken: list[int] = []  # indices of the path's outputs, law by law
         for k, (_, late) in enumerate(self.sensed):
             for axis in range(2):
                 path = delayed(path, n_axes + 2 * k + axis, late)
         for axis, law in enumerate(self.laws):
             mine = [k for k, (name, _) in enumerate(self.sensed) if axis < 2 and name in law.inputs]
             taken += [axis, *(n_axes + 2 * k + axis for k in mine)]
-            # of the sums so far, the angle's and its own, and of the new rate
+            # coefficients of the previous angle and angle integral, and of the new rate
             rows = dict(zip(MEASUREMENTS, ([1.0, 0.0, t], [0.0, 0.0, 1.0], [t, 1.0, t * t]), strict=True))
             n = 2 if "angle_integral_rads" in law.inputs else 1
             a, b = np.array([[1.0, 0.0], [t, 1.0]])[:n, :n], np.zeros((n, 1 + len(mine)))
@@ -124,19 +124,19 @@ class Multiloop:
         return chain(path, StateSpace(a, b, c, d, states, names, self.axes))
 
     def poles(self, closed: Iterable[int]) -> ComplexArray:
-        """Return the poles with the loops of these axes closed, log(z) / T in rad/s."""
+        """Return the poles with the loops of the axes `closed` (indices) closed, log(z) / T in rad/s."""
         s, i = self.state_space, list(closed)
         z = np.linalg.eigvals(s.a - s.b[:, i] @ s.c[i]).astype(np.complex128)
         return np.asarray(np.log(z[np.abs(z) > FASTEST]) / self.path.sample_s)
 
     def one(self, axis: str) -> OneLoop:
-        """Return the loop of one axis, opened at its command with the others closed."""
+        """Return the loop of one axis, opened at its command with the other loops closed."""
         return OneLoop(self, self.axes.index(axis))
 
 
 @dataclass(frozen=True)
 class OneLoop:
-    """The loop (`OpenLoop`) of one axis, from its command to the signal that returns while the others are closed:
+    """The loop (`OpenLoop`) of one axis, opened at its command while the loops of the other axes are closed:
 
     L_ii - L_io (1 + L_oo)^-1 L_oi
     """
@@ -176,9 +176,10 @@ class OneLoop:
 
 
 def multiloops(scenario: LoadedScenario, design: Design, times_s: Iterable[float]) -> list[Multiloop]:
-    """Return the loops at vehicle times (s), in rising order, of a flight of the scenario with its own design.
+    """Return the loops at vehicle times (s), in rising order, of the scenario's flight with its own design.
 
-    Raises ValueError for a time outside the powered flight. The message names the operating point and the range.
+    The laws are those of `design`. Raises ValueError for a time outside the powered flight; the message states the
+    operating point and the range.
     """
     run, out = flown_run(scenario, faults=False), []
     for time_s in sorted(set(times_s)):
@@ -188,9 +189,10 @@ def multiloops(scenario: LoadedScenario, design: Design, times_s: Iterable[float
 
 
 def multiloop(packed: Packed, design: Design, time_s: float) -> Multiloop:
-    """Return the loops of a packed flight at its present state: position, attitude, velocity and roll rate as flown.
+    """Return the loops of a packed flight at its present state.
 
-    Modes, pendulums and engines are at rest. Pitch and yaw rates are zero.
+    Position, attitude, velocity and roll rate are those flown. Modes, pendulums and engines are at rest. Pitch and yaw
+    rates are zero.
     """
     model, matrix = linearise(*at_rest(packed, time_s), time_s), np.eye(2, 3)
     stage = int(packed.memory[0].clock.stage)
@@ -207,11 +209,11 @@ def multiloop(packed: Packed, design: Design, time_s: float) -> Multiloop:
             axes, laws = AXES, (*laws, roll)
     held = (*_HELD, *(f"gyro_{axis}_rad" for axis in AXES), *(() if "roll" in axes else ("phi_rad",)))
     kept = [k for k, name in enumerate(model.states) if name not in held and not name.endswith("_integral")]
-    integrals, sensed = [f"gyro_{axis}_rad" for axis in axes], []  # of the outputs of the sensors
+    integrals, sensed = [f"gyro_{axis}_rad" for axis in axes], []  # states that integrate the sensors' outputs
     signs = [1.0] * len(axes)
     if any(name not in MEASUREMENTS for one in laws for name in one.inputs):
         for k, (name, _, late) in enumerate(instruments_of(row).sensors, 1):
-            force = name == ACCELERATION  # the direction +y is negative in yaw
+            force = name == ACCELERATION  # a positive yaw command pushes in the direction -y
             integrals += [f"sensor_{k}_{axis}_integral" for axis in ("zy" if force else "yz")]
             signs += [1.0, -1.0 if force else 1.0]
             sensed.append((name, late))

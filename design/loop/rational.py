@@ -1,4 +1,4 @@
-"""Rational functions of s, and those with which the paper approximates the flight computer (eqs 30 to 32)."""
+"""Rational functions of s, and the paper's approximations of the flight computer (eqs 30 to 32)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from maxq.design.model.state_space import ComplexArray, StateSpace
 
 @dataclass(frozen=True)
 class Rational:
-    """A rational function: numerator and denominator in rising powers of tau s, both of the denominator's length."""
+    """A rational function of tau s: coefficients of numerator and denominator in rising powers, of equal number."""
 
     name: str
     tau_s: float
@@ -28,7 +28,7 @@ class Rational:
         return np.asarray(polynomial.polyroots(self.denominator), np.complex128) / self.tau_s
 
     def state_space(self) -> StateSpace:
-        """Return the controllable canonical form in units of tau, so that its entries are of similar size."""
+        """Return the controllable canonical form, scaled by tau so that its entries are of similar size."""
         n = len(self.denominator) - 1
         d, p = np.array(self.denominator), np.array(self.numerator)
         through = p[n] / d[n]
@@ -49,26 +49,27 @@ class Rational:
 
 
 def converter_pade(tau_s: float) -> Rational:
-    """Return H_VF (30). The paper prints no coefficients. These are the Pade approximant [3/3] of (1 - e^-x) / x.
+    """Return H_VF (30), the Padé approximant [3/3] of (1 - e^-x) / x with x = tau s.
 
-    The function is the average over the sample, which is equivalent to counting pulses. It is the only such set with
-    the printed signs (erratum 14). The error is 0.02 dB and 0.1 deg up to the Nyquist frequency.
+    The function is the average over a sample, which is equivalent to counting pulses. The paper prints no coefficients;
+    of the possible sets, only this one has the printed signs (erratum 14). The error is 0.02 dB and 0.1 deg up to the
+    Nyquist frequency.
     """
     return Rational("converter", tau_s, (1.0, -1 / 14, 1 / 42, -1 / 840), (1.0, 3 / 7, 1 / 14, 1 / 210))
 
 
 def delay_pade(tau_s: float) -> Rational:
-    """Return H_D (31)."""
+    """Return H_D (31), the Padé approximant [2/2] of e^-x with x = tau s."""
     return Rational("delay", tau_s, (1.0, -1 / 2, 1 / 12), (1.0, 1 / 2, 1 / 12))
 
 
 def hold_pade(tau_s: float) -> Rational:
-    """Return H_DZ (32): the Pade approximant [0/2] of (1 - e^-x) / x."""
+    """Return H_DZ (32), the Padé approximant [0/2] of (1 - e^-x) / x with x = tau s."""
     return Rational("hold", tau_s, (1.0, 0.0, 0.0), (1.0, 1 / 2, 1 / 12))
 
 
 def average(s: ComplexArray, tau_s: float) -> ComplexArray:
-    """Return (1 - e^-x) / x with x = tau s: the running average over tau, and the zero-order hold."""
+    """Return (1 - e^-x) / x with x = tau s, the response of a running average over tau and of a zero-order hold."""
     x = tau_s * np.asarray(s, np.complex128)
     safe = np.where(np.abs(x) < 1e-5, 1.0, x)
     return np.where(np.abs(x) < 1e-5, 1.0 - x / 2 + x * x / 6, -np.expm1(-safe) / safe)

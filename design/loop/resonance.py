@@ -1,4 +1,4 @@
-"""The poles of the fixed part of a loop, and the name of the moving part of each."""
+"""The poles of the fixed part of a loop, each with the name of the component that owns it."""
 
 from __future__ import annotations
 
@@ -18,19 +18,22 @@ class Resonance:
     """An oscillatory pole of the open loop.
 
     `frequency_hz` is the frequency at which it appears in the response, folded below the Nyquist frequency in a sampled
-    loop. `pole_radps` is the pole itself, with positive imaginary part. `number` counts from 1 (tank, mode, section).
+    loop. `pole_radps` is the unfolded pole with positive imaginary part. `number` counts from 1 (tank, mode, section).
     """
 
-    kind: str  # "bending", "slosh", "engine" on its compliance, "actuator", "gyro", "body", "hold", ...
+    kind: str  # "bending", "slosh", "engine" (on its compliance), "actuator", "gyro", "body", "hold", ...
     number: int
     frequency_hz: float
     pole_radps: complex
-    highest_hz: float = math.inf  # end of the loop
-    part: complex = complex(math.nan, math.nan)  # own part over the whole at `centre_hz`; NaN but for bending modes
+    highest_hz: float = math.inf  # highest frequency of the loop
+    part: complex = complex(math.nan, math.nan)  # own part / whole response at `centre_hz`; NaN unless a bending mode
 
     @property
     def centre_hz(self) -> float:
-        """Return the frequency at which the resonance is examined. See `centre_of` for a bending mode."""
+        """Return the frequency at which the resonance is examined.
+
+        It is `centre_of` for a bending mode, and `frequency_hz` otherwise.
+        """
         bends = not math.isnan(self.part.real)
         return centre_of(self.frequency_hz, self.half_width_hz, self.highest_hz) if bends else self.frequency_hz
 
@@ -44,18 +47,18 @@ class Resonance:
 
     @property
     def half_width_hz(self) -> float:
-        """Return the distance from `frequency_hz` at which the resonance has fallen by 3 dB."""
+        """Return the distance from `frequency_hz` at which the resonance is 3 dB below its peak."""
         return abs(self.pole_radps.real) / (2.0 * math.pi)
 
 
 @dataclass(frozen=True)
 class NamedPole:
-    """A pole in rad/s and its owner."""
+    """A pole in rad/s, and the kind and number of the component that owns it."""
 
     pole_radps: complex
     kind: str
     number: int = 0
-    residue: ComplexArray | None = None  # (outputs, inputs) of the vehicle there; None: a pole of another part
+    residue: ComplexArray | None = None  # (outputs, inputs) of the vehicle; None for a real pole or another component
 
 
 def named(poles: ComplexArray, kind: str, number: int = 0) -> list[NamedPole]:
@@ -65,9 +68,10 @@ def named(poles: ComplexArray, kind: str, number: int = 0) -> list[NamedPole]:
 def vehicle_poles(plant: StateSpace) -> list[NamedPole]:
     """Return the poles of a vehicle with the states of `vehicle_plant`, or some of them, named by participation.
 
-    A pole's participation in a state is the product of its right and left eigenvectors there: free of units, and one in
-    sum (Perez-Arriaga, Verghese & Schweppe, IEEE Trans. PAS-101, 1982). Each oscillator gives its name to one pair, so
-    that two tanks of equal frequency are distinguished even if their motions mix.
+    The participation of a pole in a state is the product of the corresponding elements of its right and left
+    eigenvectors. It is independent of units, and its sum over the states is one (Perez-Arriaga, Verghese & Schweppe,
+    IEEE Trans. PAS-101, 1982). Each oscillator gives its name to one pole pair, so that two tanks of equal frequency
+    are distinguished even if their motions are coupled.
     """
     poles, vectors = np.linalg.eig(plant.a) if len(plant.a) else (np.zeros(0), np.zeros((0, 0)))
     poles = poles.astype(np.complex128)

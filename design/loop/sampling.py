@@ -1,4 +1,4 @@
-"""A continuous plant as seen by a computer: delayed and held commands are its inputs, counted angles its outputs."""
+"""A continuous plant in discrete time: its inputs are delayed and held commands, and its outputs are counted angles."""
 
 from __future__ import annotations
 
@@ -11,20 +11,19 @@ import scipy.linalg
 from maxq.control.kernel.records import Array
 from maxq.design.model.state_space import ComplexArray, Resolvent, StateSpace
 
-_TERMS = 16  # of the series for a norm of a half: 2^-17 / 17! is 2e-20
+_TERMS = 16  # of the series, for a matrix with norm 0.5; the remainder is 2^-17 / 17! = 2e-20
 
 
 @dataclass(frozen=True)
 class SampledPlant:
-    """The map from commands u_k, which take effect at k T + delay and are held, to the means of the plant's outputs
-    over the last period.
+    """The exact map from commands u_k to the means of the plant's outputs over the last period.
 
         x_k+1    = phi x_k + late u_(k-m) + early u_(k-m-1)
-        rate_k+1 = (psi x_k + rate_late u_(k-m) + rate_early u_(k-m-1)) / T,
+        rate_k+1 = (psi x_k + rate_late u_(k-m) + rate_early u_(k-m-1)) / T
 
-    exactly: between samples the plant runs freely under constant commands. The delay is m whole periods and a
-    remainder. Without a remainder, `early` and `rate_early` are zero. The mean rate over a period is the increment of
-    the counted angle over T (integrate and dump, without quantisation).
+    Commands take effect at k T + delay and are held. Between samples, the plant moves freely under constant commands.
+    The delay consists of m whole periods and a remainder. Without a remainder, `early` and `rate_early` are zero. The
+    mean rate over a period is the increment of the counted angle over T (integrate and dump, without quantisation).
     """
 
     sample_s: float
@@ -40,11 +39,14 @@ class SampledPlant:
     scale: Array  # (n,): powers of two; a state times its scale is that of the continuous plant
 
     def state_space(self) -> StateSpace:
-        """Return the state space in z: the plant's states, the pending commands, and the mean rates as they are
-        read.
+        """Return the discrete state space.
+
+        Its states are those of the plant, the pending commands and the mean rates.
         """
         (n, inputs), outputs = self.late.shape, len(self.psi)
-        m = self.whole_periods + (1 if self.rest_s > 0.0 else 0)  # pending at a sample: u_(k-1) and before
+        m = self.whole_periods + (
+            1 if self.rest_s > 0.0 else 0
+        )  # pending commands at a sample: u_(k-1) and earlier ones
         size = n + m * inputs + outputs
         a, b = np.zeros((size, size)), np.zeros((size, inputs))
         a[:n, :n], a[-outputs:, :n] = self.phi, self.psi / self.sample_s
@@ -71,7 +73,7 @@ class SampledPlant:
         return Resolvent(self.phi, np.concatenate([self.late, self.early], axis=1), self.psi)
 
     def at(self, z: ComplexArray, resolvent: Resolvent) -> ComplexArray:
-        """Return the transfer functions at z, (*z.shape, outputs, inputs)."""
+        """Return the transfer functions at z, (*z.shape, outputs, inputs). `resolvent` is that of this plant."""
         way = resolvent(z) + np.concatenate([self.rate_late, self.rate_early], axis=1)
         late, inputs = (1.0 / z)[..., None, None], self.late.shape[1]
         out = (way[..., :inputs] + way[..., inputs:] * late) * late / self.sample_s
@@ -81,9 +83,9 @@ class SampledPlant:
 
 
 def sample(plant: StateSpace, sample_s: float, delay_s: float) -> SampledPlant:
-    """Sample a continuous system.
+    """Return the sampled form of a continuous system, with the period and the command delay in s.
 
-    Raises ValueError for a period that is not positive or a delay that is negative.
+    Raises ValueError for a period that is not positive, and for a delay that is negative or infinite.
     """
     if not (sample_s > 0.0 and 0.0 <= delay_s < math.inf):
         raise ValueError(f"sample_s = {sample_s}, delay_s = {delay_s}: allowed are a period above 0, a delay from 0")
@@ -94,7 +96,7 @@ def sample(plant: StateSpace, sample_s: float, delay_s: float) -> SampledPlant:
     whole = int(delay_s / sample_s * (1.0 + 1e-12))
     rest = delay_s - whole * sample_s
     rest = 0.0 if rest < 1e-9 * sample_s else rest
-    # states, integrals of the outputs, constant commands
+    # blocks: states, integrals of the outputs, constant commands
     k, size = n + outputs, n + outputs + inputs
     augmented = np.zeros((size, size))
     augmented[:n, :n], augmented[:n, k:] = a, (plant.b.T / scale).T
@@ -119,9 +121,9 @@ def sample(plant: StateSpace, sample_s: float, delay_s: float) -> SampledPlant:
 def exponential(a: Array) -> Array:
     """Return exp(A) by scaling, Taylor series and squaring (Moler & Van Loan, SIAM Review 45(1), 2003, method 3).
 
-    The result is as exact as SciPy's for the small, balanced matrices here, of which a robust design needs thousands.
-    SciPy starts the threads of the linear-algebra library for each matrix, and these threads spend more time idle than
-    computing.
+    For the small, balanced matrices of this module, the result is as accurate as that of SciPy. A robust design needs
+    thousands of exponentials. SciPy starts the threads of the linear-algebra library for each matrix, which takes
+    longer than the computation.
     """
     halvings = max(0, math.ceil(math.log2(max(float(np.abs(a).sum(axis=0).max(initial=0.0)), 1e-300) / 0.5)))
     x = a / 2.0**halvings

@@ -1,6 +1,4 @@
-"""The plant of a loop in wind: from gimbal command and lateral wind to the law's measurements, load, drift and
-moments.
-"""
+"""The wind response of a loop's plant: measurements, load, drift and moments per unit of command and of wind."""
 
 from __future__ import annotations
 
@@ -18,11 +16,10 @@ from maxq.design.model.state_space import ComplexArray, Resolvent, channels
 
 
 def wind_response(path: FixedPath, spectrum: Spectrum, stations_m: tuple[float, ...] = ()) -> WindResponse:
-    """Return the wind response of the plant behind a path, for the path's own measurements, with the bending moment at
-    some of its sections.
+    """Return the wind response of the plant of a path, for the path's measurements and the moments at `stations_m`.
 
-    Spatial modes couple the planes. The other plane is held, as in `Node.plant`. Raises ValueError for a band that
-    reaches half the sample rate.
+    Spatial modes couple the planes; the other plane is held, as in `Node.plant`. Raises ValueError for a spectrum whose
+    band reaches half the sample rate.
     """
     node, timing = path.node, path.node.instruments
     if spectrum.band_hz[1] > max(HIGHEST_HZ, 0.499 / max(timing.sample_s, 1e-9)):

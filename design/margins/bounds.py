@@ -1,20 +1,18 @@
-"""The separation of crossings that occur in pairs between two points of a curve.
-
-Bounds on derivatives exclude such pairs or separate them.
+"""The separation of crossings that occur in pairs between two points of a curve, by bounds on derivatives.
 
 All zeros and poles p of L must be known. The derivatives of ln |L| and of the phase along the frequency axis are then
-sums with one term for each. The term of a factor (j w - p) is the real and imaginary part of j / (j w - p). That of a
-factor (z - p) of a sampled loop, z = exp(j t), is the real and imaginary part of j z / (z - p). Each term is monotone
-in t between a few known places:
+sums with one term for each. The term of a factor (j w - p) is the real and imaginary part of j / (j w - p). The term of
+a factor (z - p) of a sampled loop, z = exp(j t), is the real and imaginary part of j z / (z - p). Each term is monotone
+in t between its extremes, which are known:
 
     s   ln |.|: +-1 / (2 |Re p|) at w = Im p +- |Re p|         phase: -1 / Re p at w = Im p
     z   ln |.|: +-r / |1 - r^2| where cos (t - u) = 2 r / (1 + r^2)    phase: 1 / (1 -+ r) at t = u, u + pi,
 
-p = r exp(j u). So every term, and their sum, has bounds that hold over a whole interval (interval arithmetic up to
-rounding: R. E. Moore, Interval Analysis, 1966). An interval is settled if a function is monotone in it. It is also
-settled if the function has the same sign at both ends and too small a slope to reach zero in between. Any other
-interval is halved. An interval that remains at a relative width of NARROW touches zero rather than crosses it, within
-double precision.
+p = r exp(j u). Every term, and therefore their sum, has bounds that hold over a whole interval (interval arithmetic,
+except for rounding: R. E. Moore, Interval Analysis, 1966). An interval is settled if a function is monotone in it. It
+is also settled if the function has the same sign at both ends and too small a slope to reach zero in between. Any other
+interval is halved. If an interval remains unsettled at a relative width of NARROW, the function touches zero rather
+than crosses it, within double precision.
 """
 
 from __future__ import annotations
@@ -34,17 +32,17 @@ from maxq.design.model.state_space import ComplexArray
 
 NARROW = 1e-9
 CANCELLED = 1e-9  # relative distance at which a zero and a pole cancel
-AGREES = 1e-3  # of ln L less its zeros and poles, along the curve: then they are those of L
-PROBES = 64  # points of the curve at which they are compared
+AGREES = 1e-3  # permitted variation of ln L minus the sum of its factors along the curve
+PROBES = 64  # points of the curve at which L is compared with its factors
 MOST_HALVINGS = 40
 
 
 class ZerosAndPoles(NamedTuple):
-    """The zeros and poles of L in s, or in z at a period, (factors,). `sign` is +1 for a zero and -1 for a pole.
+    """The zeros and poles of L in s, or in z with a period, (factors,).
 
-    `period_s` is 0 for s. `size_at` and `phase_at`, (places, factors), are the places of the extremes of the
-    derivatives of ln |.| and of the phase of each factor, in rad/s or as t = w T. `size` and `phase` are the values
-    there.
+    `sign` is +1 for a zero and -1 for a pole. `period_s` is 0 for s. `size_at` and `phase_at`, (places, factors),
+    locate the extremes of the derivatives of each factor's ln |.| and phase, in rad/s or as t = w T. `size` and `phase`
+    are the values at these extremes.
     """
 
     at: ComplexArray
@@ -57,7 +55,7 @@ class ZerosAndPoles(NamedTuple):
 
 
 def factors_of(loop: OpenLoop) -> ZerosAndPoles:
-    """Return the zeros and poles of a loop, or none if they are unknown or infinitely many."""
+    """Return the zeros and poles of a loop without cancelling pairs, or empty arrays if they are unknown."""
     known = loop.factors()
     if known is None:
         return with_extremes(np.zeros(0, np.complex128), np.zeros(0), 0.0)
@@ -74,7 +72,7 @@ def factors_of(loop: OpenLoop) -> ZerosAndPoles:
 
 
 def with_extremes(at: ComplexArray, sign: Array, period_s: float) -> ZerosAndPoles:
-    """Return the zeros and poles with the places and values of the extremes of their derivatives."""
+    """Return the zeros and poles with the locations and values of the extremes of their derivatives."""
     with np.errstate(all="ignore"):
         if period_s == 0.0:
             a, w = np.abs(at.real), at.imag
@@ -83,7 +81,7 @@ def with_extremes(at: ComplexArray, sign: Array, period_s: float) -> ZerosAndPol
         else:
             r, u = np.abs(at), np.angle(at)
             near, top = np.arccos(np.clip(2.0 * r / (1.0 + r * r), -1.0, 1.0)), r / np.abs(1.0 - r * r)
-            # t is between 0 and pi, u + near up to 2 pi and u - near down to -2 pi
+            # t is in [0, pi], while u + near reaches 2 pi and u - near reaches -2 pi
             size_at = [u + near, u - near, u + near - 2.0 * np.pi, u - near + 2.0 * np.pi]
             size, far = [top, -top, top, -top], 1.0 / (1.0 + r)
             phase_at, phase = [u, u + np.pi, u - np.pi], [1.0 / (1.0 - r), far, far]
@@ -92,7 +90,7 @@ def with_extremes(at: ComplexArray, sign: Array, period_s: float) -> ZerosAndPol
 
 @routine
 def _agree(f: Array, loop: ComplexArray, by: ZerosAndPoles) -> NDArray[np.bool_]:
-    """Return True where L is the product of its factors along the curve, up to a constant equal for most points."""
+    """Return True for the points of the curve at which L is the product of its factors, up to a common constant."""
     n = len(f)
     probes = np.unique(np.linspace(0.0, n - 1.0, PROBES).astype(np.int64))
     m = len(probes)
@@ -119,7 +117,7 @@ def _agree(f: Array, loop: ComplexArray, by: ZerosAndPoles) -> NDArray[np.bool_]
 
 @routine
 def _point(hz: float, period_s: float) -> complex:
-    """Return s, or z."""
+    """Return the point s on the imaginary axis, or z on the unit circle, of a frequency in Hz."""
     if period_s == 0.0:
         return complex(0.0, TWO_PI * hz)
     return complex(np.exp(complex(0.0, TWO_PI * hz * period_s)))
@@ -129,7 +127,7 @@ def _point(hz: float, period_s: float) -> complex:
 def _range_of(
     first: float, last: float, low: float, high: float, places: Array, values: Array, j: int
 ) -> tuple[float, float]:
-    """Return the least and greatest value of a factor's derivative from its values at both ends and at its extremes."""
+    """Return the least and greatest value of a factor's derivative over an interval, from its ends and its extremes."""
     least, most = min(first, last), max(first, last)
     for k in range(len(places)):
         if low < places[k, j] < high:
@@ -139,9 +137,10 @@ def _range_of(
 
 @routine
 def slopes(low_hz: float, high_hz: float, by: ZerosAndPoles) -> tuple[float, float, float, float]:
-    """Return the least and greatest derivative of ln |L| and of the phase over an interval, by w or t.
+    """Return the least and greatest derivative of ln |L|, then of the phase, over an interval.
 
-    They are NaN or infinite if an end of the interval is a zero or pole.
+    The derivatives are with respect to w (rad/s), or t = w T for a sampled loop. They are NaN or infinite if an end of
+    the interval is a zero or pole.
     """
     per_hz = TWO_PI * (by.period_s if by.period_s > 0.0 else 1.0)
     low, high = low_hz * per_hz, high_hz * per_hz
@@ -163,10 +162,10 @@ def slopes(low_hz: float, high_hz: float, by: ZerosAndPoles) -> tuple[float, flo
 
 @routine
 def separated(f: Array, loop: ComplexArray, by: ZerosAndPoles, source: LoopResponse) -> tuple[Array, ComplexArray]:
-    """Return a curve with added points, such that no step hides two crossings.
+    """Return a curve with added points, such that no interval between two points hides two crossings.
 
     The crossings are those of |L| = 1, and those of the negative real axis where |L| is above FLOOR. The curve is
-    unchanged if the zeros and poles of L are unknown, or are not those of the curve.
+    unchanged if the zeros and poles of L are unknown or inconsistent with the curve.
     """
     if len(by.at) == 0:
         return f, loop
@@ -187,7 +186,7 @@ def separated(f: Array, loop: ComplexArray, by: ZerosAndPoles, source: LoopRespo
 
 @routine
 def _unsettled(low_hz: float, high_hz: float, first: complex, last: complex, by: ZerosAndPoles) -> bool:
-    """Return True for a step that may hide a pair."""
+    """Return True for an interval that may hide a pair of crossings."""
     size_least, size_most, phase_least, phase_most = slopes(low_hz, high_hz, by)
     width = (high_hz - low_hz) * TWO_PI * (by.period_s if by.period_s > 0.0 else 1.0)
     gain, next_gain = log_abs(first), log_abs(last)
@@ -195,11 +194,11 @@ def _unsettled(low_hz: float, high_hz: float, first: complex, last: complex, by:
         return True
     if max(_greatest(gain, next_gain, size_least, size_most, width), gain) < np.log(FLOOR):
         return False
-    # this is the true turn if no other fits into the bounds
+    # the principal turn is the true one if the bounds exclude all others
     if (phase_most - phase_least) * width > 0.5 * TWO_PI:
         return True
     before, turn = angle(-first), angle(last * first.conjugate())
-    # a turn through the positive real axis does not pass the negative one
+    # checks the crossings of -180 + 360 k degrees only
     for whole in (0.0, -TWO_PI, TWO_PI):
         if _may_hide(before + whole, before + turn + whole, phase_least, phase_most, width):
             return True
@@ -208,7 +207,7 @@ def _unsettled(low_hz: float, high_hz: float, first: complex, last: complex, by:
 
 @routine
 def _greatest(first: float, last: float, low: float, high: float, width: float) -> float:
-    """Return an upper bound of a function over a step, from its ends and the bounds of its slope."""
+    """Return an upper bound of a function over an interval, from its end values and the bounds of its slope."""
     if low < 0.0 < high:
         peak = (high * last - low * first - low * high * width) / (high - low)
         return np.inf if np.isnan(peak) else peak
@@ -217,7 +216,7 @@ def _greatest(first: float, last: float, low: float, high: float, width: float) 
 
 @routine
 def _may_hide(first: float, last: float, low: float, high: float, width: float) -> bool:
-    """Return True where a function with these ends may have more zeros in a step than its ends show."""
+    """Return True if a function with these end values and slope bounds may have a hidden pair of zeros."""
     if not low < 0.0 < high:
         return False
     return bool(

@@ -1,9 +1,9 @@
-"""The margin budget: gain and phase of each part of a loop at one frequency. The sum is the whole loop.
+"""The margin budget: the gain and phase of each part of a loop at one frequency, which add up to the whole loop.
 
-Parts in series multiply, so their decibels and degrees add. Parts that are not in series - aerodynamics, slosh, engine
-inertia, bending - act on one another. They are added one after the other in a stated order of build-up steps. The share
-of each is the ratio of L with the part to L without it, all earlier parts being present and all later parts absent. The
-ratios telescope: in any order, their sum is L. The order decides which part includes the interaction of two parts.
+Parts in series multiply, so their decibels and degrees add. Aerodynamics, slosh, engine inertia and bending are not in
+series but interact. They are added one after the other in a stated order of build-up steps. The share of each step is
+the ratio of L with the part to L without it, with all earlier parts present and all later parts absent. The product of
+these ratios is L in any order. The order determines the part to which an interaction of two parts is attributed.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from maxq.design.model.state_space import ComplexArray, Resolvent, channels
 
 Response = Callable[[Array], ComplexArray]
 
-_PATH = 400  # points, and decades below the frequency, along which a phase is unwrapped
+_PATH = 400  # points for unwrapping a phase, from _DECADES below the frequency
 _DECADES = 4.0
 
 
 @dataclass(frozen=True)
 class Share:
-    """The share of one part.
+    """The share of one part. Negative degrees are lag.
 
-    Degrees below 0 are lag. The phase of a part in series is unwrapped from low frequency (a delay may exceed 180 deg).
-    That of a build-up step is within +-180 deg.
+    The phase of a part in series is unwrapped from low frequency (a delay may exceed 180 deg). The phase of a build-up
+    step is within +-180 deg.
     """
 
     part: str
@@ -46,7 +46,7 @@ class Share:
 class Budget:
     """The budget at one frequency.
 
-    `left_db` and `left_deg` are L itself less the sum of the shares, which is rounding.
+    `left_db` and `left_deg` are the difference between L and the sum of the shares, due to rounding.
     """
 
     frequency_hz: float
@@ -56,17 +56,17 @@ class Budget:
 
     @property
     def gain_db(self) -> float:
-        """Return the sum of the gains: |L|."""
+        """Return the sum of the gains, which is |L|, dB."""
         return float(sum(share.gain_db for share in self.shares))
 
     @property
     def phase_deg(self) -> float:
-        """Return the sum of the phases: the phase of L, up to turns."""
+        """Return the sum of the phases, deg, which is the phase of L up to multiples of 360 deg."""
         return float(sum(share.phase_deg for share in self.shares))
 
     @property
     def phase_margin_deg(self) -> float:
-        """Return the sum of the phases beyond -180 + 360 k degrees, in [-180, 180)."""
+        """Return the difference between the sum of the phases and the nearest -180 + 360 k degrees, in [-180, 180)."""
         return wrapped(self.phase_deg + 180.0, 180.0)
 
 
@@ -76,9 +76,9 @@ def split(
     series: Sequence[tuple[str, Response]],
     steps: Sequence[tuple[str, Response]] = (),
 ) -> Budget:
-    """Return the budget of `whole` = product of `series` times the last of `steps`.
+    """Return the budget of `whole`, the product of `series` and of the last response of `steps`.
 
-    A step is the response with that part and all earlier parts present. Raises ValueError if a part is zero or not
+    Each step is the response with its part and all earlier parts present. Raises ValueError if a part is zero or not
     finite at the frequency.
     """
     path = frequency_hz * 10.0 ** np.linspace(-_DECADES, 0.0, _PATH)
@@ -111,12 +111,13 @@ def _db(value: complex) -> float:
 
 
 def loop_budget(loop: Loop, frequencies_hz: Sequence[float]) -> tuple[Budget, ...]:
-    """Return the shares of law, filter, converter, delay, hold, gyro, actuator and the vehicle's build-up at each
-    frequency.
+    """Return the budget of a loop at each frequency.
 
-    The computer's parts are those of the loop's kind: the paper's Pade approximants, or their exact factors. Law and
-    filter of a sampled loop are the discrete ones. A last share, `sampling`, is the contribution of the images of the
-    sampled spectrum (aliasing): the sampled path over the exact continuous one. Ideal instruments have no share.
+    The shares are those of law, filter, converter, delay, hold, gyro, actuator and the build-up of the vehicle. The
+    parts of the flight computer are those of the loop's kind: the paper's Padé approximants or the exact factors. Law
+    and filter of a sampled loop are discrete. The last share of a sampled loop, `sampling`, is the contribution of
+    aliasing: the ratio of the sampled path to the exact continuous path. Ideal instruments have no share. Raises
+    ValueError for a loop that is not opened at the gimbal command.
     """
     fixed = loop.fixed
     if not fixed.takes_rate:
@@ -134,14 +135,17 @@ def loop_budget(loop: Loop, frequencies_hz: Sequence[float]) -> tuple[Budget, ..
         def sampling(f: Array) -> ComplexArray:
             return np.asarray(fixed.response(f) / np.prod([part(f) for _, part in whole_path], axis=0))
 
-        # multiplied by the bent vehicle it telescopes like a build-up step, with no phase of its own to unwrap
+        # as a build-up step on the flexible vehicle, it needs no unwrapped phase
         bent = steps[-1][1]
         steps.append(("sampling", lambda f: np.asarray(bent(f) * sampling(f))))
     return tuple(split(loop.response, float(f), series, steps) for f in frequencies_hz)
 
 
 def crossing_budgets(loop: Loop, measured: Margins) -> dict[str, Budget]:
-    """Return budgets by name, at the rigid crossover and at the frequency of each margin of a stable loop."""
+    """Return the budgets at the rigid crossover and at the frequency of each margin, by name.
+
+    An unstable loop has none.
+    """
     if not measured.stable:
         return {}
     wanted = {
@@ -177,9 +181,7 @@ def _instruments(node: OperatingPoint) -> list[tuple[str, Response]]:
 
 
 def _vehicle(node: OperatingPoint) -> Response:
-    """Return the response from the angle of the first drive's actuators to the local rate at the gyro, by all
-    drives.
-    """
+    """Return the response from the first drive's actuator angle to the local rate at the gyro, through all drives."""
     ideal = bool(node.instruments.actuator.ideal)
     inputs = tuple(name for name in node.plant.inputs if not ideal or name.startswith("delta_rad"))
     system = channels(node.plant, ("local_rate_radps",), inputs)

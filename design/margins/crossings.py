@@ -1,6 +1,6 @@
-"""The crossings of a loop's curve with the unit circle and the real axis, and its turns about -1.
+"""The crossings of a loop's curve with the unit circle and the real axis, and its encirclements of -1.
 
-Unstable poles of the closed loop are counted twice: from their list, and by the argument principle from L alone.
+Unstable poles of the closed loop are counted in two ways: from the list of poles, and by the argument principle from L.
 """
 
 from __future__ import annotations
@@ -19,34 +19,34 @@ from maxq.design.margins.response import TWO_PI, LoopResponse, values_at
 from maxq.design.margins.solving import LOG_SIZE, SINE, angle, objective
 from maxq.design.model.state_space import ComplexArray
 
-FARTHEST = 1e9  # a sign change of Im L where |L| is above this, or below its inverse, is a pole or zero on the axis
-REAL = 1e-6  # |Im L| / |L| below which the end of the curve is real
+FARTHEST = 1e9  # a sign change of Im L with |L| above this, or below 1 / this, is a pole or zero on the axis
+REAL = 1e-6  # |Im L| / |L| below which the end of the curve counts as real
 
 
 @dataclass(frozen=True)
 class GainCrossings:
-    """The crossings |L| = 1, in rising order of frequency, (n,) each."""
+    """The crossings of |L| = 1, (n,) each, in rising order of frequency."""
 
     frequency_hz: Array
     loop: ComplexArray
-    rising: NDArray[np.bool_]  # |L| grows with frequency
+    rising: NDArray[np.bool_]  # True where |L| increases with frequency
 
     @property
     def phase_margin_deg(self) -> Array:
-        """Return the phase margins in (-180, 180].
+        """Return the phase margins in (-180, 180], deg.
 
-        A positive value is the lag that reaches -1, a negative one the smaller lead that does so.
+        A positive value is the lag that moves the point to -1, and a negative value the lead, if that is smaller.
         """
         return solving.from_minus_one_deg(self.loop)
 
     @property
     def lag_deg(self) -> Array:
-        """Return the lag in [0, 360) that turns the point to -1."""
+        """Return the lag in [0, 360) that moves the point to -1, deg."""
         return np.asarray(np.mod(self.phase_margin_deg, 360.0))
 
     @property
     def delay_s(self) -> Array:
-        """Return the delay that gives this lag."""
+        """Return the delay that causes this lag, s."""
         return np.asarray(self.lag_deg / (360.0 * self.frequency_hz))
 
 
@@ -54,10 +54,9 @@ class GainCrossings:
 class PhaseCrossings:
     """The crossings of the negative real axis, (n,) each.
 
-    Frequencies 0 and infinity are limits, and the highest one is Nyquist.
-
-    `turn` is +1 if the curve crosses from above to below (anticlockwise about the origin) and -1 otherwise. It is 0 at
-    the ends, which the curve only reaches.
+    Frequencies of 0 and infinity denote limits of L, and the highest frequency of a sampled loop is Nyquist. The `turn`
+    of a crossing from above to below (anticlockwise about the origin) is +1, and otherwise -1. It is 0 at the ends,
+    where the curve reaches the axis but does not cross it.
     """
 
     frequency_hz: Array
@@ -66,17 +65,17 @@ class PhaseCrossings:
 
     @property
     def gain_margin_db(self) -> Array:
-        """Return the gain margins.
+        """Return the gain margins, dB.
 
-        A positive value is the increase of gain that reaches -1, a negative one the decrease that does.
+        A positive value is the increase of gain that moves the point to -1, and a negative value the decrease.
         """
         return np.asarray(-solving.DB * solving.log_size(self.loop))
 
 
 class Crossings(NamedTuple):
-    """All crossings, those of the gain first.
+    """All crossings, first of |L| = 1, then of the negative real axis.
 
-    `way` is 1 where |L| rises and -1 where it falls, or the turn of a phase crossing.
+    `gain_way` is 1 where |L| rises and -1 where it falls. `phase_way` is `PhaseCrossings.turn`.
     """
 
     gain_hz: Array
@@ -89,9 +88,9 @@ class Crossings(NamedTuple):
 
 @formula
 def steps_past_poles(f: Array, open_: ComplexArray, closed: ComplexArray) -> IntArray:
-    """Return the number of poles of L on the axis that each step passes, (points - 1,).
+    """Return the number of poles of L on the imaginary axis that each interval of the curve contains, (points - 1,).
 
-    A pole that is in both lists at the same place cancels in L.
+    A pole that is in both lists at the same frequency cancels in L.
     """
     count, lowest = np.zeros(len(f) - 1, np.int64), TWO_PI * f[0]
     for which in range(2):
@@ -105,21 +104,24 @@ def steps_past_poles(f: Array, open_: ComplexArray, closed: ComplexArray) -> Int
 
 @routine
 def crossings(t: Trace, past: IntArray, source: LoopResponse) -> tuple[Crossings, Array, ComplexArray]:
-    """Return all crossings, and the curve with them added."""
+    """Return all crossings, and the frequencies and values of the curve with the crossings added.
+
+    `past` is the result of `steps_past_poles`.
+    """
     f, loop, zones = t.frequency_hz, t.loop, np.zeros((0, 3))
     n, m, gains = len(f), 0, 0
     kinds, ends, values, way = np.empty(2 * n, np.int64), np.empty((2 * n, 2)), np.empty((2 * n, 2)), np.empty(2 * n)
     for kind in (LOG_SIZE, SINE):
         rising, level = course(kind, loop), 1.0 if kind == LOG_SIZE else 0.0
         for k in range(n - 1):
-            # near the level, the objective itself decides
+            # the exact objective decides only if both ends are near the level
             if min(rising[k], rising[k + 1]) > level + NARROW or max(rising[k], rising[k + 1]) < level - NARROW:
                 continue
             a, b = objective(kind, 0.0, loop[k], zones), objective(kind, 0.0, loop[k + 1], zones)
             if (a >= 0.0) == (b >= 0.0):
                 continue
             if kind == SINE:
-                # at Nyquist the sign of Im L is rounding
+                # the sign of Im L at Nyquist is a rounding error
                 at_end = t.finite_end and k == n - 2 and abs(b) < REAL
                 if at_end or past[k] > 0 or not (loop[k].real < 0.0 or loop[k + 1].real < 0.0):
                     continue
@@ -131,7 +133,7 @@ def crossings(t: Trace, past: IntArray, source: LoopResponse) -> tuple[Crossings
     found = solving.roots(kinds[:m], ends[:m], values[:m], source, zones)
     there = values_at(found, source)
     hz, at, turn = np.empty(m - gains + 2), np.empty(m - gains + 2, np.complex128), np.empty(m - gains + 2, np.int64)
-    # the limits at zero frequency and at the end are real: they count if they are negative
+    # the limits at zero frequency and at the end are real and are included if negative
     count, first, last = 0, loop[0], loop[n - 1]
     if t.slope_at_zero == 0 and t.at_zero < 0.0 and abs(first.imag) < 0.1 * abs(first):
         hz[count], at[count], turn[count] = 0.0, complex(t.at_zero, 0.0), 0
@@ -152,7 +154,10 @@ def crossings(t: Trace, past: IntArray, source: LoopResponse) -> tuple[Crossings
 
 @formula
 def growing_count(closed: ComplexArray, lowest_radps: float) -> int:
-    """Return the number of poles to the right of the axis and on it. Poles slower than `lowest_radps` are drift."""
+    """Return the number of closed-loop poles in the right half plane or on the axis.
+
+    Poles slower than `lowest_radps` are drift and are excluded.
+    """
     count = 0
     for p in closed:
         if abs(p) > lowest_radps and p.real >= -ON_AXIS * abs(p):
@@ -172,27 +177,28 @@ def _real_angle(x: complex) -> float:
 
 @routine
 def encirclement_count(t: Trace, every: Crossings, past: IntArray, before: Trace, open_: ComplexArray) -> int:
-    """Return the zeros of 1 + L in the right half plane (outside the unit circle), from the curve's turns about -1.
+    """Return the number of unstable zeros of 1 + L, from the turns of the curve about -1.
 
-    Each solved crossing of the real axis beyond -1 moves the argument from one branch to the next, so that the number
-    is exact. The path goes up the axis from a quarter circle about s = 0 (z = 1). It passes poles on the axis on their
-    right, and ends at the real limit of L at infinity (z = -1):
+    Unstable zeros are in the right half plane (outside the unit circle):
 
-        zeros = poles - turn of 1 + L over the upper half / pi.
+        zeros = poles - turn of 1 + L over the upper half / pi
 
-    `past` contains the poles that the steps of `before` pass, the curve without its crossings.
+    Each solved crossing of the real axis beyond -1 moves the argument to the next branch, so that the number is exact.
+    The path follows the axis upwards from a quarter circle about s = 0 (z = 1). It passes poles on the axis on their
+    right, and ends at the real limit of L at infinity (z = -1). `before` is the curve without its crossings, and `past`
+    contains the number of poles in each of its intervals.
     """
     loop, lowest, right, branches = t.loop, TWO_PI * t.frequency_hz[0], 0, 0
     for p in open_:
         right += 1 if abs(p) > lowest and p.real > ON_AXIS * abs(p) else 0
     for i in range(len(every.phase_hz)):
         branches += int(every.phase_way[i]) if abs(every.phase_loop[i]) > 1.0 else 0
-    # number of crossings from -pi to pi (clockwise) of the half circles to the right of poles on the axis
+    # half circles around poles on the axis: number of clockwise crossings of the branch cut
     for k in np.flatnonzero(past):
         here, there = angle(1.0 + before.loop[k]), angle(1.0 + before.loop[k + 1])
         clockwise = past[k] * 0.5 * TWO_PI + _wrapped(here - there - past[k] * 0.5 * TWO_PI)
         branches -= round_((clockwise - (here - there)) / TWO_PI)
-    # at Nyquist the sign of Im L is rounding: the last step is the short way to the real axis
+    # the sign of Im L at Nyquist is a rounding error, so the last step takes the short way to the real axis
     last = len(loop) - (2 if t.finite_end else 1)
     turn = _first_turn(loop[0], t.slope_at_zero) + angle(1.0 + loop[last]) - angle(1.0 + loop[0])
     turn += TWO_PI * branches
@@ -202,11 +208,11 @@ def encirclement_count(t: Trace, every: Crossings, past: IntArray, before: Trace
 
 @routine
 def _first_turn(first: complex, slope_at_zero: int) -> float:
-    """Return the turn of 1 + L from the real axis to the first point, on a small quarter circle about the origin."""
+    """Return the turn of 1 + L (rad) from the real axis to the first point, on a small quarter circle about s = 0."""
     order = -slope_at_zero if abs(first) > 1.0 else 0
     if order == 0:
         return _wrapped(angle(1.0 + first) - _real_angle(1.0 + first))
-    # L = K / s^n is real at the beginning, and large compared with 1; with n < 0 it has zeros, and 1 + L drift, below
+    # L = K / s^n begins real and large compared with 1; for n < 0, zeros of L and slow zeros of 1 + L are below
     unit = 1.0 + 0j
     for _ in range(abs(order)):
         unit = unit * (1j if order > 0 else -1j)

@@ -1,12 +1,10 @@
-"""The frequency response of a loop as a curve.
+"""The frequency response of a loop as a curve, on a grid that is adapted to its poles.
 
-The response is computed on a grid adapted to its poles, so that no narrow feature is missed between two points.
-
-Each pole of L and each zero of 1 + L is surrounded by points. Their offsets grow from a fraction of its half width (its
-real part) in steps of 1 + sqrt(2). A resonance's circle therefore has some twenty points at any damping ratio from 0.05
-to 1e-6. Zeros of L, which the protocol does not give, turn its phase. Intervals over which the phase of L or of 1 + L
-turns by more than TURN_RAD are halved until none remains. `with_extremes` adds the turning points: peaks of |L|, least
-distances, and near misses between two points of the grid.
+Each pole of L and each zero of 1 + L is surrounded by points, so that no narrow feature is missed. Their offsets begin
+at a fraction of the half width (the real part) and grow by factors of 1 + sqrt(2). The circle of a resonance therefore
+has some twenty points at any damping ratio from 0.05 to 1e-6. Zeros of L are not known to the grid but turn the phase.
+Intervals over which the phase of L or of 1 + L turns by more than TURN_RAD are halved until none remains.
+`with_extremes` adds the turning points: peaks of |L|, least distances, and near misses between two points of the grid.
 """
 
 from __future__ import annotations
@@ -38,30 +36,33 @@ from maxq.design.margins.solving import (
 )
 from maxq.design.model.state_space import ComplexArray
 
-LOWEST_HZ = 1e-5  # a root slower than this (4 hours) is drift and not part of the loop's dynamics
+LOWEST_HZ = 1e-5  # a slower root (time constant above 4 hours) is drift and not part of the loop's dynamics
 PER_DECADE = 16
-PER_DECADE_FLAT = 6  # below the slowest and above the fastest pole
+PER_DECADE_FLAT = 6  # points per decade below the slowest and above the fastest pole
 TURN_RAD = 0.6
-FLOOR = 1e-4  # where |L| is below this (-80 dB) its phase is irrelevant
-NARROW = 1e-12  # relative: an interval that is not halved any more
+FLOOR = 1e-4  # the phase of L is irrelevant below this magnitude (-80 dB)
+NARROW = 1e-12  # relative width below which an interval is not halved
 MOST_POINTS = 200_000
 _MOST_ROUNDS = 40
-ASYMPTOTIC, DRIFT_UP_TO_HZ = 4.0, 1e-3  # a factor in frequency; a quarter of an hour
+ASYMPTOTIC, DRIFT_UP_TO_HZ = 4.0, 1e-3  # ratio of frequencies; a time constant of a few minutes
 ON_AXIS = 1e-9  # |Re p| / |p| below which a pole counts as on the axis
 OSCILLATING = 0.5  # damping ratio below which a pole gets its own points
 
 LOWEST_PEAK = np.log(1e-3)  # peaks below -60 dB are not refined
-REACH = 4.0  # a minimum may be below its parabola by this many times the parabola's drop
+REACH = 4.0  # a minimum may be below the middle point by this multiple of the parabola's drop
 
 TAN_TURN = float(np.tan(TURN_RAD))
 _RATIO = 1.0 + np.sqrt(2.0)
 _STEPS = 25
 IMPROPER, WINDING = 1, 2
-"""The problems of a curve: |L| grows without bound, or its phase turns too often to be followed."""
+"""Problems of a curve: |L| grows without bound, or the phase turns too often to be resolved."""
 
 
 class Trace(NamedTuple):
-    """The response L at rising frequencies, for compiled code (`Curve`). `problem` is 0, IMPROPER or WINDING."""
+    """The response L at rising frequencies, in the form for compiled code (see `LoopCurve`).
+
+    `problem` is 0, IMPROPER or WINDING.
+    """
 
     frequency_hz: Array
     loop: ComplexArray
@@ -74,12 +75,11 @@ class Trace(NamedTuple):
 
 @dataclass(frozen=True)
 class LoopCurve:
-    """The response L at rising frequencies, and the poles (rad/s) on which the grid is based.
+    """The response L at rising frequencies, and the poles (rad/s) from which the grid was derived.
 
-    `finite_end` is True if the curve ends at Nyquist.
-
-    `at_zero` is the limit of L at zero frequency if `slope_at_zero` is 0 (L is then real there and even in f).
-    `slope_at_zero` and `slope_at_end` are n of the asymptotes L ~ (j f)^n. The slope at the end is 0 at Nyquist.
+    `finite_end` is True if the curve ends at the Nyquist frequency. `slope_at_zero` and `slope_at_end` are the
+    exponents n of the asymptotes L ~ (j f)^n; the slope at the Nyquist frequency is 0. If `slope_at_zero` is 0, L is
+    real at zero frequency and even in f, and `at_zero` is its limit.
     """
 
     source: OpenLoop
@@ -94,22 +94,21 @@ class LoopCurve:
 
     @property
     def lowest_radps(self) -> float:
-        """Return the bound below which poles are drift."""
+        """Return the frequency below which poles count as drift, rad/s."""
         return float(2.0 * np.pi * self.frequency_hz[0])
 
     def with_points(self, frequency_hz: Array, loop: ComplexArray) -> LoopCurve:
-        """Return the curve with other points."""
+        """Return the same curve with the given points."""
         return replace(self, frequency_hz=frequency_hz, loop=loop)
 
 
 @formula
 def lowest_hz_of(open_poles: ComplexArray) -> float:
-    """Return the frequency at which the curve of a loop with these poles (rad/s) begins: LOWEST_HZ, or above nearby
-    drift.
+    """Return the lowest frequency (Hz) of the curve of a loop with these poles (rad/s): LOWEST_HZ, or above slow roots.
 
-    In thin air, path and attitude have slow roots of a few hours. Near these roots, L has no asymptote from which the
-    curve could begin. If they follow each other up to DRIFT_UP_TO_HZ without a gap of twice the factor ASYMPTOTIC, the
-    curve begins in the middle of their widest gap.
+    In thin air, path and attitude have slow roots with time constants up to a few hours. L has no asymptote near these
+    roots, so the curve cannot begin there. If the roots follow each other up to DRIFT_UP_TO_HZ without a gap of twice
+    the factor ASYMPTOTIC, the curve begins in the middle of their widest gap.
     """
     low, every = LOWEST_HZ, np.sort(np.abs(open_poles)) / TWO_PI
     for hz in every:
@@ -127,7 +126,10 @@ def lowest_hz_of(open_poles: ComplexArray) -> float:
 
 
 def finite(poles: ComplexArray, kind: str) -> ComplexArray:
-    """Return the poles without those at minus infinity (z = 0 of a sampled loop). Raises ValueError for NaN."""
+    """Return the poles except those at minus infinity (z = 0 of a sampled loop). Raises ValueError for NaN.
+
+    `kind` is the word for the message, "open" or "closed".
+    """
     p = np.atleast_1d(np.asarray(poles, np.complex128))
     p = p[np.abs(p.real) != np.inf]
     if not np.isfinite(p).all():
@@ -137,7 +139,7 @@ def finite(poles: ComplexArray, kind: str) -> ComplexArray:
 
 @routine
 def traced(open_: ComplexArray, closed: ComplexArray, lowest: float, end: float, loop: LoopResponse) -> Trace:
-    """Return the curve from `lowest` to `end` Hz, which is infinite for a continuous loop."""
+    """Return the curve from `lowest` to `end` in Hz, which is infinite for a continuous loop."""
     first = values_at(np.array([lowest, min(2.0 * lowest, end)]), loop)
     slope_at_zero, at_zero = 0, first[0].real
     if abs(first[0]) > 0.0 and abs(first[1]) > 0.0:
@@ -160,8 +162,9 @@ def round_(x: float) -> int:
 
 @routine
 def _end(open_: ComplexArray, closed: ComplexArray, lowest: float, loop: LoopResponse) -> tuple[float, int, int]:
-    """Return the frequency at which a continuous loop has reached its asymptote or is negligibly small, the slope, and
-    the problem.
+    """Return the highest frequency of a continuous loop's curve (Hz), the slope there, and the problem.
+
+    The curve ends where L has reached its asymptote or is negligibly small.
     """
     fastest, some = 100.0 * lowest, False
     for which in range(2):
@@ -175,7 +178,7 @@ def _end(open_: ComplexArray, closed: ComplexArray, lowest: float, loop: LoopRes
         size = abs(values[k])
         slope = np.log(abs(values[k + 7]) / size) / np.log(1.1)
         quarter = angle(values[k]) / (0.25 * TWO_PI)
-        level = np.round(slope) == 0.0  # then the end may be near -1, otherwise it is far away
+        level = np.round(slope) == 0.0  # a level end may be near -1, and a sloping one is far from it
         settled = abs(slope - np.round(slope)) < (1e-4 if level else 0.01)
         settled = settled and abs(quarter - np.round(quarter)) < (1e-4 if level else 0.02)
         if settled or size < FLOOR or k == 6:
@@ -184,7 +187,7 @@ def _end(open_: ComplexArray, closed: ComplexArray, lowest: float, loop: LoopRes
     n = round_(steep) if np.isfinite(steep) else -1
     small = abs(values[place]) < FLOOR
     problem = IMPROPER if n > 0 and abs(values[place]) > 0.0 and (still or not small) else 0
-    # the phase of a pure delay keeps turning: L is small from here on, or level
+    # the phase of a pure delay never settles: L remains small or level above this frequency
     return f[place], min(n, 0) if still else -1 if small else 0, problem
 
 
@@ -213,7 +216,7 @@ def _grid(open_: ComplexArray, closed: ComplexArray, lowest: float, end: float, 
             slow, fast = min(slow, size / TWO_PI), max(fast, size / TWO_PI)
             if p.imag > 0.0 and abs(p.real) < OSCILLATING * size:
                 width, step = max(abs(p.real), ON_AXIS * size), 1.0 / _RATIO
-                # a pole on the axis: L is infinite there
+                # omits a pole on the axis, where L is infinite
                 if abs(p.real) >= ON_AXIS * size:
                     out[n] = p.imag / TWO_PI
                     n += 1
@@ -242,14 +245,17 @@ def _grid(open_: ComplexArray, closed: ComplexArray, lowest: float, end: float, 
 
 @routine
 def _turned(a: complex, b: complex) -> bool:
-    """Return True where the angle between two values is larger than TURN_RAD."""
+    """Return True if the angle between two complex values exceeds TURN_RAD."""
     way = a * b.conjugate()
     return bool(way.real < 0.0 or abs(way.imag) > TAN_TURN * way.real)
 
 
 @routine
 def _refined(f: Array, loop: ComplexArray, source: LoopResponse) -> tuple[Array, ComplexArray, bool]:
-    """Halve intervals over which L or 1 + L turns too far, and much wider adjacent intervals."""
+    """Return the curve with intervals halved in which L or 1 + L turns too far, and True if none remains.
+
+    Intervals next to them that are much wider are halved too.
+    """
     n = len(f)
     fresh = np.ones(n, np.bool_)
     for _ in range(_MOST_ROUNDS):
@@ -263,7 +269,7 @@ def _refined(f: Array, loop: ComplexArray, source: LoopResponse) -> tuple[Array,
                 coarse[k] = any_ = True
         if not any_:
             break
-        # a turn by a multiple of 2 pi looks like none: refine next to intervals that turn
+        # a turn by a multiple of 2 pi is invisible, so intervals next to a turn are also refined
         more = coarse.copy()
         for k in range(n - 1):
             beside = np.inf
@@ -285,7 +291,7 @@ def _refined(f: Array, loop: ComplexArray, source: LoopResponse) -> tuple[Array,
 
 @routine
 def merged(f: Array, loop: ComplexArray, new: Array, source: LoopResponse) -> tuple[Array, ComplexArray, IntArray]:
-    """Return the curve with points added, and their places. Points that exist already are omitted."""
+    """Return the curve with points added, and the indices of the new points. Existing points are omitted."""
     new = np.sort(new)
     values = values_at(new, source)
     n = len(f)
@@ -309,14 +315,14 @@ def merged(f: Array, loop: ComplexArray, new: Array, source: LoopResponse) -> tu
 
 @routine
 def is_bracket(value: Array, k: int) -> bool:
-    """Return True for an inner point that is not above either neighbour and is below at least one."""
+    """Return True for an inner point that is not above either neighbour and is below at least one of them."""
     left, here, right = value[k - 1], value[k], value[k + 1]
     return bool(here <= left and here <= right and (here < left or here < right))
 
 
 @routine
 def course(kind: int, loop: ComplexArray) -> Array:
-    """Return a function at each point that rises with an objective of L alone and needs no logarithm."""
+    """Return an inexpensive monotone function of an objective of L at each point, without a logarithm."""
     out = np.empty(len(loop))
     for k in range(len(loop)):
         size = square(loop[k])
@@ -335,11 +341,11 @@ def course(kind: int, loop: ComplexArray) -> Array:
 
 @routine
 def with_extremes(f: Array, loop: ComplexArray, distances: int, source: LoopResponse) -> tuple[Array, ComplexArray]:
-    """Return the curve with its turning points solved for and added.
+    """Return the curve with its turning points added.
 
-    The turning points include minima of the first `distances` of |1 + L|, |1 + 1/L| and |1 + L|/|1 - L|. Only minima
-    that may be global are included. Further points are the maxima of |L|, and extremes of |L| and of the phase. These
-    extremes may reach 1 and 180 degrees although the points of the grid do not.
+    These are the maxima of |L|, and the minima of the first `distances` (0 to 3) of the functions |1 + L|, |1 + 1/L|
+    and |1 + L|/|1 - L|. Of the minima, only those that may be global are included. Extremes of |L| and of the phase are
+    added if they may reach 1 or 180 degrees between two points of the grid.
     """
     n, m, none = len(f), 0, np.zeros((0, 3))
     kinds, points, values = np.empty(7 * n, np.int64), np.empty((7 * n, 3)), np.empty((7 * n, 3))

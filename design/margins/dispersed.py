@@ -1,5 +1,7 @@
-"""The margins of many dispersed vehicles at one operating point: poles and residues of all at once, then the compiled
-`many`.
+"""The margins of many dispersed vehicles at one operating point.
+
+The poles and residues of all vehicles are computed together, and the compiled functions of many.py evaluate the
+margins.
 """
 
 from __future__ import annotations
@@ -25,23 +27,23 @@ from maxq.design.model.instruments import DERIVATIVES, actuator_poles, lag, of_d
 from maxq.design.model.node import Node, with_drives_apart
 from maxq.design.model.state_space import ComplexArray
 
-_WORST_BASIS = 1e7  # condition of the eigenvectors beyond which residues have lost half their digits
-LEVELS = 4  # of the extrapolation of each vehicle's derivatives
-_AT_ONCE = 250  # vehicles: their matrices then stay in the processor's cache
-_SAME = 1e-9  # relative, of the law's response by its zeros and poles
+_WORST_BASIS = 1e7  # condition number of the eigenvectors above which residues lose more than half their digits
+LEVELS = 4  # levels of the extrapolation of each vehicle's derivatives
+_AT_ONCE = 250  # vehicles per batch, so that their matrices fit into the processor's cache
+_SAME = 1e-9  # relative tolerance of the law's response from its zeros and poles
 _KINDS = {"bending": 1, "slosh": -1}
 
 
 class NotServedError(ValueError):
-    """A loop that the compiled margins do not support. Use `measure.margins` for such a loop."""
+    """A loop that the compiled margins do not support. `measure.margins` supports every loop."""
 
 
 @dataclass(frozen=True)
 class ManyLoops:
-    """The sampled loops of the vehicles at an operating point, dispersed in the parameters of `spread.Spread`, under
-    one law.
+    """The sampled loops of dispersed vehicles at an operating point, with one law.
 
-    Raises NotServedError for a law that uses sensors other than the gyro, and for plants of the published equations.
+    The dispersed parameters are those of `spread.Spread`. Raises NotServedError for a law with sensors other than the
+    first gyro, and for plants of the published equations.
     """
 
     node: Node
@@ -64,7 +66,7 @@ class ManyLoops:
 
     @cached_property
     def _apart(self) -> ManyLoops:
-        """Return the vehicle with a drive for each group of engines."""
+        """Return the same loops for a vehicle with a separate drive for each group of engines."""
         node = with_drives_apart(self.node)
         return self if node is self.node else ManyLoops(node, self.law)
 
@@ -76,11 +78,10 @@ class ManyLoops:
     def measure(
         self, every: Sequence[Dispersion], peak_db: float, flight: Node | None = None, *, distances: bool = False
     ) -> tuple[NDArray[np.void], IntArray]:
-        """Return the margins of vehicles, (vehicles,) of many.MEASURES, and the status of each.
+        """Return the margins of vehicles, (vehicles,) of many.MEASURES, and the status of each, (vehicles,).
 
-        With `distances`, only these are computed, and all others are NaN.
-
-        `flight` is the operating point in another flight of the same stage, with the same instruments.
+        If `distances` is True, only the distances are computed, and all other values are NaN. `flight` is the same
+        operating point in another flight of the stage, with the same instruments.
         """
         values, status = np.zeros(len(every), many.MEASURES), np.zeros(len(every), np.int64)
         values.view(float)[:] = np.nan
@@ -133,7 +134,10 @@ class ManyLoops:
             values[which], status[which] = found, stated
 
     def _start(self, periods: int, rests: bool) -> ComplexArray:
-        """Return the zeros of 1 + L of the nominal vehicle, with a delay of the same number of samples, in w."""
+        """Return the zeros of 1 + L of the nominal vehicle in w = z - 1, as starting values.
+
+        `periods` is the number of whole samples of delay, and `rests` is True for a remaining fraction.
+        """
         key = periods, rests
         if key not in self._starts:
             period = self.node.instruments.sample_s
@@ -144,7 +148,7 @@ class ManyLoops:
             node = self.node if same else self.node.with_(delay_s=delay)
             loop = Loop(SampledFixedPath(node), self.law).state_space()
             roots = np.linalg.eigvals(loop.a - np.outer(loop.b[:, 0], loop.c[0])).astype(np.complex128) - 1.0
-            # off the real axis, and separate: real zeros of the nominal vehicle may be pairs of another
+            # moved off the real axis and apart, since real zeros of the nominal vehicle may be pairs of another
             tilt = np.exp(0.7j * np.arange(1, len(roots) + 1))
             apart = np.where(np.abs(1.0 + roots) < 1e-5, 1e-6, 1e-3 * np.minimum(np.abs(roots), np.abs(1.0 + roots)))
             self._starts[key] = roots + np.maximum(apart, 1e-12) * tilt
@@ -156,8 +160,10 @@ class ManyLoops:
 
     @cached_property
     def _kept(self) -> tuple[IntArray, IntArray, IntArray, Array, int]:
-        """Return the states and inputs of the vehicle that are on the path, and the row of the output. Return also the
-        code of each owner of states and its states (owners, states).
+        """Return the indices of the vehicle's states and inputs that are on the path, and data of their owners.
+
+        The data are the code of each owner of states (owners,), its membership of states (owners, states), and the row
+        of the output.
         """
         body, plant = self._nominal.fixed.vehicle, self.node.plant
         states = np.array([plant.states.index(name) for name in body.states])
@@ -171,8 +177,10 @@ class ManyLoops:
     def _modes(
         self, node: Node, by: Dispersion, delay_s: Array
     ) -> tuple[ComplexArray, ComplexArray, IntArray, ComplexArray, NDArray[np.bool_]]:
-        """Return the poles of the continuous path, (vehicles, poles), their residues and owners, and True where all
-        results are exact. Return also the own parts of modes (`resonance.Resonance.part` times the path).
+        """Return the poles of the continuous path of each vehicle, (vehicles, poles), with residues and owners.
+
+        The own part of each mode (`resonance.Resonance.part` times the path) and a flag for exact results (vehicles,)
+        follow.
         """
         n = len(delay_s)
         states, inputs, code, member, row = self._kept
@@ -180,7 +188,7 @@ class ManyLoops:
         held = deviated(node.held, node.plane, by, n)
         a, b, c, _, _ = held.plants(node.condition, node.trim, node.plane, node.drives, levels=LEVELS, in_place=True)
         a, b, c = a[:, states[:, None], states], b[:, states[:, None], inputs], c[:, row, states]
-        # states of different magnitudes: the same scaling for all, that of the nominal vehicle
+        # balances states of different magnitudes with the scaling of the nominal vehicle
         nominal = self._nominal.fixed.vehicle.a
         scale = scipy.linalg.matrix_balance(nominal, permute=False, separate=True)[1][0]
         a, b, c = a / scale[:, None] * scale, b / scale[:, None], c * scale
@@ -249,7 +257,7 @@ class ManyLoops:
 
     @cached_property
     def _drives(self) -> tuple[IntArray, IntArray]:
-        """Return the drive of each input of the path, and the order of the derivative of the drive's angle."""
+        """Return the drive of each input of the path, and the order of that input's derivative of the drive angle."""
         names = self._nominal.fixed.vehicle.inputs
         known = {of_drive(d, k): (k, o) for k in range(len(self.node.actuators)) for o, d in enumerate(DERIVATIVES)}
         drives, orders = zip(*(known[name] for name in names), strict=True)
@@ -261,7 +269,7 @@ def _column(value: Array | float) -> Array | float:
 
 
 def _pair_of(omega: Array | float, zeta: Array | float, n: int) -> tuple[ComplexArray, ComplexArray]:
-    """Return the poles of omega^2 / (s^2 + 2 zeta omega s + omega^2), (n, 2), and their residues."""
+    """Return the poles of omega^2 / (s^2 + 2 zeta omega s + omega^2), (n, 2), and their residues, (n, 2)."""
     root = np.sqrt(np.asarray(zeta, np.complex128) ** 2 - 1.0)
     both = np.stack(np.broadcast_arrays(omega * (-zeta + root), omega * (-zeta - root)), axis=-1).reshape(-1, 2)
     at = np.broadcast_to(both, (n, 2))
@@ -270,9 +278,10 @@ def _pair_of(omega: Array | float, zeta: Array | float, n: int) -> tuple[Complex
 
 
 def _owners(code: IntArray, member: Array, poles: ComplexArray, vectors: ComplexArray, left: ComplexArray) -> IntArray:
-    """Return the mode (+) or tank (-) that each pole belongs to, as `resonance.vehicle_poles` does, (vehicles, poles).
+    """Return the mode (+k), tank (-k) or other owner (0) of each pole, (vehicles, poles).
 
-    `code` is that of each owner, and `member` its states, (owners, states).
+    The assignment is that of `resonance.vehicle_poles`. `code` is the number of each owner (owners,), and `member` its
+    states (owners, states).
     """
     share = np.abs(vectors * left.transpose(0, 2, 1))
     per_owner = np.einsum("os,vsp->vop", member, share)
@@ -280,7 +289,9 @@ def _owners(code: IntArray, member: Array, poles: ComplexArray, vectors: Complex
     best = per_owner.argmax(axis=1)
     out = np.where(swinging, code[best], 0)
     taken = ((best[:, None, :] == np.arange(len(code))[:, None]) & swinging[:, None, :]).sum(axis=2)
-    for v in np.flatnonzero((taken > 1).any(axis=1)):  # two for one: the assignment that has the most in sum
+    for v in np.flatnonzero(
+        (taken > 1).any(axis=1)
+    ):  # owners claimed by two poles: the assignment with the largest total participation
         at = np.flatnonzero(swinging[v])
         rows, which = scipy.optimize.linear_sum_assignment(per_owner[v][:, at].T, maximize=True)
         out[v] = 0

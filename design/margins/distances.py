@@ -1,11 +1,11 @@
-"""The distances of the curve from the critical point: modulus (disk) margins, and exclusion zones in the Nichols plane.
+"""The distances of the curve from the critical point: disk margins, and exclusion zones in the Nichols plane.
 
-Disk margins bound gain and phase that change together (Seiler, Packard & Gahinet, IEEE CSM 40(5), 2020).
+Disk margins bound simultaneous changes of gain and phase (Seiler, Packard & Gahinet, IEEE CSM 40(5), 2020).
 
-Gain and phase margins bound a curve on two lines only, so that the curve may pass through the corner between them.
-Exclusion zones around -180 + 360 k degrees, 0 dB close this gap. The clearance of a zone is -1 in its centre, 0 on its
-border and grows linearly outwards. The constraint is d >= 0. Let psi be the phase from the nearest centre in degrees, y
-the gain in dB, a and b the zone's half axes:
+Gain and phase margins restrict a curve on two lines only, so that the curve may pass through the corner between them.
+Exclusion zones around -180 + 360 k degrees, 0 dB close this gap. The clearance of a zone is -1 at its centre, 0 on its
+border and grows linearly outwards. The requirement is a clearance of at least 0. Let psi be the phase relative to the
+nearest centre in degrees, y the gain in dB, and a and b the half axes of the zone:
 
     diamond      |psi|/a + |y|/b - 1
     rectangle    max(|psi|/a, |y|/b) - 1
@@ -33,15 +33,15 @@ ExclusionShape = Literal["diamond", "rectangle", "ellipse"]
 
 @dataclass(frozen=True)
 class Disk:
-    """A disk and its guarantee: the loop stays stable under any gain in [down, up] and any phase up to `phase_deg`.
+    """A disk margin: the loop remains stable for any gain in [down, up] and for any phase up to `phase_deg`.
 
-    `size` is the least distance: |1 + L| (sensitivity), |1 + 1/L| (complementary) or 2 |1 + L|/|1 - L| (symmetric:
-    the alpha of the paper above, at most 2).
+    `size` is the least distance along the curve: |1 + L| (sensitivity), |1 + 1/L| (complementary) or 2 |1 + L|/|1 - L|
+    (symmetric). The symmetric size is alpha of Seiler, Packard & Gahinet and is at most 2.
     """
 
     size: float
     frequency_hz: float
-    gain_down_db: float  # both counted positive; infinite if the disk does not bound them
+    gain_down_db: float  # both gains are positive, and infinite if the disk does not bound them
     gain_up_db: float
     phase_deg: float
 
@@ -59,7 +59,7 @@ NO_DISKS = Disks(_NO_DISK, _NO_DISK, _NO_DISK)
 
 
 def disks_of(least: Array) -> Disks:
-    """Return the disks of least distances, (3, 2): logarithms and frequencies (`least_distances`)."""
+    """Return the disks from the logarithms and frequencies of the least distances, (3, 2) (`least_distances`)."""
     sizes = [(float(np.exp(log)) if log < 300.0 else np.inf, float(f)) for log, f in least.tolist()]
     (from_s, f_s), (from_t, f_t), both = sizes
     return Disks(
@@ -70,18 +70,18 @@ def disks_of(least: Array) -> Disks:
 
 
 def symmetric_disk(half: float, frequency_hz: float) -> Disk:
-    """Return the symmetric disk from alpha / 2, the least |1 + L| / |1 - L|."""
+    """Return the symmetric disk from alpha / 2, the least |1 + L| / |1 - L|, and its frequency in Hz."""
     both = -_db((1.0 - half) / (1.0 + half)) if half < 1.0 else np.inf if half >= 1.0 else np.nan
-    # |1 + L| < |1 - L| only if Re L < 0: otherwise the disk is the half plane
+    # alpha / 2 is at most 1, where the disk is a half plane
     half = min(half, 1.0) if half >= 0.0 else half
     return Disk(2.0 * half, frequency_hz, both, both, float(np.degrees(2.0 * np.arctan(half))))
 
 
 @routine
 def least_distances(t: Trace) -> Array:
-    """Return the least SENSITIVITY, COMPLEMENTARY and SYMMETRIC, and their frequencies, (3, 2).
+    """Return the least SENSITIVITY, COMPLEMENTARY and SYMMETRIC objectives and their frequencies in Hz, (3, 2).
 
-    `t` must contain their turning points. Zero and infinity are limits.
+    The curve `t` must contain their turning points. The limits at zero and infinite frequency are included.
     """
     out, none, last = np.empty((3, 2)), np.zeros((0, 3)), t.loop[len(t.loop) - 1]
     at_zero = t.at_zero if t.slope_at_zero == 0 else 0.0 if t.slope_at_zero > 0 else 1e150
@@ -108,7 +108,7 @@ def _phase_deg(size: float) -> float:
 
 @dataclass(frozen=True)
 class Zone:
-    """The half axes of an exclusion zone. Raises ValueError unless both are positive."""
+    """An exclusion zone with its shape and half axes. Raises ValueError unless both half axes are positive."""
 
     shape: ExclusionShape = "diamond"
     phase_deg: float = 30.0
@@ -131,7 +131,7 @@ class Zone:
 
 @dataclass(frozen=True)
 class Clearance:
-    """The least clearance of a zone along the curve, negative inside the zone."""
+    """The least clearance of a zone along the curve, which is negative inside the zone."""
 
     zone: Zone
     value: float
@@ -140,16 +140,16 @@ class Clearance:
 
 
 def as_rows(zones: tuple[Zone, ...]) -> Array:
-    """Return the zones in the form that `solving.objective` needs, (zones, 3)."""
+    """Return the zones as an array (zones, 3) for `solving.objective`."""
     shapes = {"diamond": solving.DIAMOND, "rectangle": solving.RECTANGLE, "ellipse": solving.ELLIPSE}
     return np.array([(shapes[z.shape], z.phase_deg, z.gain_db) for z in zones], float).reshape(-1, 3)
 
 
 @routine
 def find_clearances(t: Trace, every: Crossings, zones: Array, source: LoopResponse) -> tuple[Array, ComplexArray]:
-    """Return the least clearance of every zone and its frequency, (zones, 2), and L there, (zones,).
+    """Return the least clearance of every zone and its frequency in Hz, (zones, 2), and the value of L, (zones,).
 
-    `t` must contain the crossings. Kinks of the clearance are on crossings and diagonals.
+    The curve `t` must contain the crossings, since the clearance has kinks at crossings and on diagonals.
     """
     f, loop = t.frequency_hz, t.loop
     corners = _corners(f, loop, zones, source)
@@ -165,7 +165,7 @@ def find_clearances(t: Trace, every: Crossings, zones: Array, source: LoopRespon
         value = objectives(kind, loop, zones)
         least = value.min()
         for k in range(1, n - 1):
-            # the steps to the neighbours bound the improvement; a kink below the adjacent points is a minimum
+            # the differences to the neighbours bound the improvement; a kink below its neighbours is already a minimum
             if is_bracket(value, k) and 2.0 * value[k] - max(value[k - 1], value[k + 1]) <= least:
                 if (kinks == f[k]).any():
                     continue
@@ -184,7 +184,7 @@ def find_clearances(t: Trace, every: Crossings, zones: Array, source: LoopRespon
 
 @routine
 def _corners(f: Array, loop: ComplexArray, zones: Array, source: LoopResponse) -> Array:
-    """Return the points at which the curve crosses the rectangles' diagonals near the zone."""
+    """Return the frequencies at which the curve crosses the diagonals of rectangular zones, near each zone."""
     n, m = len(f), 0
     kinds = np.empty(len(zones) * n, np.int64)
     ends, values = np.empty((len(zones) * n, 2)), np.empty((len(zones) * n, 2))
@@ -203,7 +203,7 @@ def _corners(f: Array, loop: ComplexArray, zones: Array, source: LoopResponse) -
 
 @routine
 def _beside(f: Array, kinks_hz: Array) -> Array:
-    """Return points close to each kink, so that a smooth minimum next to a kink has its own bracket."""
+    """Return frequencies close to each kink, so that a smooth minimum next to a kink has its own bracket."""
     out, m = np.empty(2 * len(kinks_hz)), 0
     for hz in kinks_hz:
         k = np.searchsorted(f, hz)

@@ -1,13 +1,14 @@
-"""Lobes: the loops that lightly damped poles draw in the Nyquist plane.
+"""Lobes: the loops in the Nyquist plane that lightly damped poles cause.
 
-Each lobe is found, named and judged separately.
+Each lobe is found, named and assessed separately. Near a pole at p = -sigma + j w0, the response is R / (s - p) plus
+the contribution of the rest of the loop. The second difference over the half width, u = 2
+L(w0) - L(w0 + sigma) - L(w0 - sigma), is R / sigma up to the curvature of the rest. For a bending mode, the first term
+is known (`resonance.Resonance.part`).
 
-Near a pole at p = -sigma + j w0, the response is R / (s - p) plus the contribution of the rest of the loop. The second
-difference over the half width, u = 2 L(w0) - L(w0 + sigma) - L(w0 - sigma), is R / sigma up to the curvature of the
-rest. For a bending mode, that term is known (`resonance.Resonance.part`). The lobe is the range in which the term
-exceeds SHARE times the rest, at least LEAST half widths to either side. It ends where another lobe's term is larger,
-and in the valleys of |L| on both sides of its peak. If the own part of a bending mode at its frequency is smaller than
-the rest, its lobe consists of that frequency alone. The peaks of bending modes are those of own_part.py.
+The lobe is the range in which the term exceeds SHARE times the rest, and at least LEAST half widths on either side. It
+ends where the term of another lobe is larger, and in the valleys of |L| on both sides of its peak. If the own part of a
+bending mode at its frequency is smaller than the rest, its lobe consists of that frequency alone. The peaks of bending
+modes are defined in own_part.py.
 """
 
 from __future__ import annotations
@@ -29,41 +30,42 @@ from maxq.design.margins.response import LoopResponse, values_at
 from maxq.design.margins.solving import DB, LAG_DEG, LOBE, TINY, angle, lag_of, lobe_excess, log_abs, objective
 from maxq.design.model.state_space import ComplexArray
 
-VALLEY = 0.5  # a minimum of |L| below this share of the peak ends a lobe
-LIGHT = 0.1  # damping ratio below which an unnamed pole makes a lobe
-VISIBLE = 0.01  # an unnamed pole whose term is a smaller share of |L| than this makes none
-ROUNDING_DB = 1e-9  # of a crossing of |L| = 1 at the end of a lobe
+VALLEY = 0.5  # a minimum of |L| below this fraction of the peak ends a lobe
+LIGHT = 0.1  # damping ratio below which an unnamed pole has a lobe
+VISIBLE = 0.01  # smallest |term| / |L| for which an unnamed pole has a lobe
+ROUNDING_DB = 1e-9  # tolerance for a crossing of |L| = 1 at the end of a lobe
 
 Stabilised = Literal["gain", "phase"]
 
 
 @dataclass(frozen=True)
 class Lobe:
-    """A resonance in the loop. The margins are those of the lobe alone, infinite if nothing in it bounds them.
+    """A resonance in the loop, with the margins of this lobe alone. A margin without a bound in the lobe is infinite.
 
-    `stabilised` is "gain" if the peak is at least the limit below 0 dB, whatever its phase, and "phase" otherwise. Lag
-    and lead margins of a phase-stabilised lobe are the least over its crossings of |L| = 1. Without a crossing, they
-    are the least over its points above 0 dB. Those of a gain-stabilised lobe are infinite. The crossings of a bending
-    mode count only where its own part is larger than SHARE times the rest and the largest of all modes. `conditional`
-    is True if less gain would destabilise the loop, because the lobe crosses the negative real axis beyond -1.
+    `stabilised` is "gain" if the peak is below 0 dB by at least the limit, whatever its phase, and "phase" otherwise.
+    Lag and lead margins of a phase-stabilised lobe are the least over its crossings of |L| = 1. Without a crossing,
+    they are the least over its points above 0 dB. Those of a gain-stabilised lobe are infinite. The crossings of a
+    bending mode count only where its own part exceeds SHARE times the rest and the own parts of all other modes.
+    `conditional` is True if a lower gain would destabilise the loop, because the lobe crosses the negative real axis
+    beyond -1.
     """
 
     label: str
-    kind: str  # as the resonance names it: "bending", "slosh"; empty for an unnamed pole
-    frequency_hz: float  # of the pole
+    kind: str  # kind of the resonance, "bending" or "slosh"; empty for an unnamed pole
+    frequency_hz: float  # frequency of the pole
     damping_ratio: float
     low_hz: float
     high_hz: float
-    peak_db: float  # of a bending mode that is weak relative to the rest, less than |L|
+    peak_db: float  # lower than |L| for a bending mode that is weak relative to the rest
     peak_hz: float
-    peak_phase_deg: float  # of L at the peak, beyond the nearest -180 + 360 k, in (-180, 180]
+    peak_phase_deg: float  # phase of L at the peak relative to the nearest -180 + 360 k, in (-180, 180]
     stabilised: Stabilised
-    gain_up_db: float  # to the crossing of the negative real axis nearest to -1 from inside
+    gain_up_db: float  # from the largest crossing of the negative real axis between -1 and 0
     gain_down_db: float
     lag_deg: float
     lead_deg: float
     modulus: float  # least |1 + L|
-    contribution: float  # |u| / |L| at the pole, or |part|: the share of the resonance in the response there
+    contribution: float  # contribution of the resonance at its pole, |u| / |L| or |part|
 
     @property
     def conditional(self) -> bool:
@@ -71,7 +73,7 @@ class Lobe:
 
     @property
     def phase_deg(self) -> float:
-        """Return the lesser of lag and lead."""
+        """Return the lesser of lag and lead margin."""
         return min(self.lag_deg, self.lead_deg)
 
 
@@ -90,14 +92,14 @@ COLUMNS = (
     "contribution",
     "number",
 )
-"""The columns of a table of lobes. `number` is that of the pole."""
+"""The columns of a table of lobes. `number` is the index of the pole."""
 (LOW, HIGH, PEAK_DB, PEAK_HZ, PEAK_PHASE, GAIN_STABILISED, UP, DOWN, LAG, LEAD, MODULUS, CONTRIBUTION, NUMBER) = range(
     len(COLUMNS)
 )
 
 
 def lobes_of(table: Array, poles: list[Resonance]) -> tuple[Lobe, ...]:
-    """Return the lobes of a table, (lobes, COLUMNS)."""
+    """Return the lobes of a table (lobes, COLUMNS), with the names of their poles."""
     out = []
     for row in table.tolist():
         pole = poles[int(row[NUMBER])]
@@ -109,7 +111,7 @@ def lobes_of(table: Array, poles: list[Resonance]) -> tuple[Lobe, ...]:
 
 
 def lightly_damped(open_poles: ComplexArray, lowest_radps: float) -> list[Resonance]:
-    """Return the unnamed poles of L with a damping ratio below LIGHT."""
+    """Return the poles of L with a damping ratio below LIGHT, as unnamed resonances in rising order of frequency."""
     p = open_poles[open_poles.imag > lowest_radps]
     p = p[np.abs(p.real) < LIGHT * np.abs(p)]
     return [Resonance("", 0, float(x.imag / (2.0 * np.pi)), complex(x)) for x in p[np.argsort(p.imag)]]
@@ -127,10 +129,12 @@ def find_lobes(
     on_axis: Array,
     source: LoopResponse,
 ) -> Array:
-    """Return the lobes of resonances at `centre` Hz with these half widths and own parts, (lobes, COLUMNS).
+    """Return the lobes of resonances, (lobes, COLUMNS).
 
-    Poles whose share of L is below `least_share` have no lobe. `part` is NaN for all but bending modes. `on_axis`
-    contains the frequencies at which L is infinite. `t` must contain extremes and crossings.
+    `centre` and `width` are the frequencies and half widths of the poles, Hz. `part` contains their own parts, NaN for
+    all but bending modes. Poles with a fraction of L below `least_share` have no lobe. `on_axis` contains the
+    frequencies at which L is infinite, Hz. `limit_db` is the distance below 0 dB at which a lobe is gain-stabilised.
+    The curve `t` must contain extremes and crossings.
     """
     f, loop = t.frequency_hz, t.loop
     last = len(f) - 1
@@ -176,9 +180,10 @@ def find_lobes(
 def _strengths(
     t: Trace, centre: Array, width: Array, part: ComplexArray, on_axis: Array, source: LoopResponse
 ) -> tuple[ComplexArray, Array]:
-    """Return u, or the own part, and its magnitude relative to L at the pole's frequency.
+    """Return the second difference u, or the own part, of each pole, and its magnitude relative to L.
 
-    A fold at Nyquist maps L to its conjugate.
+    L is that at the frequency of the pole. Points above the Nyquist frequency are folded, where L is the complex
+    conjugate.
     """
     n, top, low = len(centre), t.frequency_hz[len(t.frequency_hz) - 1], t.frequency_hz[0]
     f = np.concatenate((centre, centre + width, centre - width))
@@ -203,20 +208,24 @@ def _strengths(
 
 @routine
 def _valley(loop: ComplexArray, k: int, deep: float) -> bool:
-    """Return True for a deep minimum of |L| among the points of the curve."""
+    """Return True for a minimum of |L| among the points of the curve that is below `deep`."""
     here, n = abs(loop[k]), len(loop)
     return here < deep and (k == 0 or here <= abs(loop[k - 1])) and (k == n - 1 or here <= abs(loop[k + 1]))
 
 
 @routine
 def _ends(t: Trace, terms: Array, source: LoopResponse) -> Array:
-    """Return the ends of the run that contains the centre, (lobes, 2), or the centre twice without such a run.
+    """Return the ends of the range of each lobe in Hz, (lobes, 2), or the centre twice without such a range.
 
-    The run is bounded by valleys. In it, the term is large relative to the rest and is the largest of all.
+    The range contains the centre and is bounded by valleys of |L|. In the range, the term is large relative to the rest
+    and is the largest of all terms.
     """
     f, loop, n, last = t.frequency_hz, t.loop, len(terms), len(t.frequency_hz) - 1
     out = np.empty((n, 2))
-    deep, borders = np.zeros(2 * n, np.int64), np.zeros(2 * n, np.int64)  # point of a valley; the first point outside
+    deep, borders = (
+        np.zeros(2 * n, np.int64),
+        np.zeros(2 * n, np.int64),
+    )  # index of a valley; 1 + index of the first point outside
     for j in range(n):
         centre = terms[j, 2]
         out[j, 0] = out[j, 1] = centre
@@ -253,7 +262,7 @@ def _ends(t: Trace, terms: Array, source: LoopResponse) -> Array:
     which = np.flatnonzero(borders)
     across, ends, values = which // 2 + LOBE, np.empty((len(which), 2)), np.empty((len(which), 2))
     for i in range(len(which)):
-        for p in range(2):  # outside, inside
+        for p in range(2):  # p is 0 outside and 1 inside the lobe
             k = borders[which[i]] - 1 + p * (1 - 2 * (which[i] % 2))
             ends[i, p], values[i, p] = f[k], lobe_excess(which[i] // 2, f[k], loop[k], terms)
     found = solving.roots(across, ends, values, source, terms)
@@ -277,7 +286,7 @@ def _judge(
     begin, stop = np.searchsorted(f, low), np.searchsorted(f, high, side="right")
     size, distance = np.abs(loop[begin:stop]), np.abs(1.0 + loop[begin:stop])
     top = int(np.argmax(size))
-    if top in (0, stop - begin - 1):  # no peak of its own: a bump on a slope
+    if top in (0, stop - begin - 1):  # without a peak inside, the lobe is a bump on a slope and its centre counts
         top = 0
         for k in range(stop - begin):
             if abs(f[begin + k] - centre) < abs(f[begin + top] - centre):
@@ -310,10 +319,10 @@ def _judge_mode(
     limit_db: float,
     out: Array,
 ) -> None:
-    """Enter peak, lag and lead of a bending mode, number j of all `modes`.
+    """Enter peak, lag and lead of bending mode number j of all `modes` into `out`.
 
-    The peak is that in its band. The turns are those of the crossings at which its term is large relative to the rest
-    and the largest of all modes.
+    The peak is the maximum in its band. Lag and lead are those of the crossings at which the mode's term is large
+    relative to the rest and the largest of all modes.
     """
     begin, stop = np.searchsorted(f, band[0]), np.searchsorted(f, band[1], side="right")
     top = begin + int(np.argmax(np.abs(loop[begin:stop])))
@@ -334,9 +343,9 @@ def _judge_mode(
 def _turns(
     f: Array, loop: ComplexArray, every: Crossings, low: float, high: float, source: LoopResponse
 ) -> tuple[float, float]:
-    """Return the least lag and lead that turn a point to the phase of -1.
+    """Return the least lag and lead in deg that turn a point of a lobe to the phase of -1.
 
-    The point is a crossing, or without one a point above 0 dB or the peak.
+    The points are the crossings of |L| = 1. Without a crossing, they are the points above 0 dB, or else the peak.
     """
     lag = lead = np.inf
     for k in range(len(every.gain_hz)):

@@ -1,9 +1,8 @@
-"""The margins of many vehicles at one operating point: those of `measure.margins`, of L from poles and residues
-(response.py).
+"""The margins of many vehicles at one operating point, with L from poles and residues (response.py).
 
-Disks, zones and the bounds of bounds.py are omitted. Two crossings that are closer than the points of the grid can thus
-be missed. If these formulae do not support a vehicle (repeated poles, zeros that do not converge), the vehicle is
-returned for `measure.margins`.
+The margins are those of `measure.margins` without disks and zones. The bounds of bounds.py are not applied, so that two
+crossings that are closer than the points of the grid can be missed. A vehicle that these formulae do not support
+(repeated poles, zeros that do not converge) is handed back for `measure.margins`.
 """
 
 from __future__ import annotations
@@ -34,17 +33,17 @@ MEASURES = np.dtype(
         ("distance_hz", float, MINIMA),
     ]
 )
-"""The measures of one loop. Margins are infinite where nothing bounds them and NaN for an unstable loop.
+"""The measures of one loop. A margin without a bound is infinite, and the margins of an unstable loop are NaN.
 
-`distance` holds the lowest minima of |1 + L|, of an unstable loop too, and `distance_hz` their frequencies; NaN behind
-the last."""
+`distance` contains the lowest minima of |1 + L|, also for an unstable loop, and `distance_hz` their frequencies. Unused
+elements are NaN."""
 
-_LIGHT = 0.3  # damping ratio of the poles that `FixedPath.resonances` names
+_LIGHT = 0.3  # largest damping ratio of the poles in `FixedPath.resonances`
 
 
 @routine
 def _nearest(f: Array, loop: ComplexArray, source: LoopResponse, distance: Array, distance_hz: Array) -> None:
-    """Find the lowest minima of |1 + L| and their frequencies."""
+    """Enter the lowest minima of |1 + L| and their frequencies in Hz into `distance` and `distance_hz`."""
     n = len(f)
     value, none = np.abs(1.0 + loop), np.zeros((0, 3))
     low = np.ones(n, np.bool_)
@@ -89,7 +88,10 @@ def margins_of_vehicle(
     peak_db: float,
     distances: bool,
 ) -> int:
-    """Find the measures of one vehicle. Return DONE, UNSTABLE or HANDED_BACK."""
+    """Enter the measures of one vehicle into `out`. Return DONE, UNSTABLE or HANDED_BACK.
+
+    The arguments are those of `measure_many` for one vehicle.
+    """
     n = len(poles)
     mu, alpha, beta = np.empty(n, np.complex128), np.empty(n, np.complex128), np.empty(n, np.complex128)
     direct = np.zeros(2)
@@ -110,7 +112,7 @@ def margins_of_vehicle(
     t = curve.traced(open_, closed, curve.lowest_hz_of(open_), 0.5 / sample_s, source)
     if t.problem != 0 or not np.isfinite(np.abs(t.loop).sum()):
         return HANDED_BACK
-    # the minima of |1 + L| are solved for separately
+    # `_nearest` finds the minima of |1 + L| separately
     f, loop = curve.with_extremes(t.frequency_hz, t.loop, 0, source)
     t = curve.Trace(f, loop, t.slope_at_zero, t.at_zero, t.slope_at_end, t.finite_end, 0)
     every_crossing, after, growing, encircled = measure.counted(t, open_, closed, source)
@@ -134,7 +136,7 @@ def margins_of_vehicle(
         number, peak, turn = whose[int(lobe[lobes.NUMBER])], lobe[lobes.PEAK_DB], min(lobe[lobes.LAG], lobe[lobes.LEAD])
         if number < 0 and peak > peak_db:
             out.slosh_phase_deg = min(out.slosh_phase_deg, turn)
-        elif number == 1:  # infinite if it is gain-stabilised
+        elif number == 1:  # infinite for a gain-stabilised mode
             out.first_mode_phase_deg = min(out.first_mode_phase_deg, turn)
         elif number > 1:
             out.modes_from_2_db = max(out.modes_from_2_db, peak)
@@ -143,10 +145,10 @@ def margins_of_vehicle(
 
 @routine
 def _every_pole(mu: ComplexArray, law_poles: ComplexArray, late: int, integrates: bool) -> ComplexArray:
-    """Return the poles of 1 + L in w: those of the path, of the law, and of the delay."""
+    """Return the poles of 1 + L in w = z - 1: those of path, law and delay."""
     every, m = np.full(len(mu) + len(law_poles) + late, -1.0 + 0j), len(mu)
     every[:m] = mu
-    cancelled = integrates  # a path that rests has a zero at the pole of the first integrator
+    cancelled = integrates  # a path with zero rate at constant command cancels the first integrator's pole
     for p in law_poles:
         if abs(p) > 1e-9 or cancelled:
             every[m] = p
@@ -158,7 +160,7 @@ def _every_pole(mu: ComplexArray, law_poles: ComplexArray, late: int, integrates
 
 @routine
 def _in_radps(roots: ComplexArray, sample_s: float) -> ComplexArray:
-    """Return log(1 + w) / T, without the poles that a delay has left out."""
+    """Return log(1 + w) / T for zeros of 1 + L, except those of pure delays."""
     closed, m = np.empty(len(roots), np.complex128), 0
     for w in roots:
         if abs(1.0 + w) > FASTEST:
@@ -174,7 +176,7 @@ def _in_radps(roots: ComplexArray, sample_s: float) -> ComplexArray:
 def _resonances(
     poles: ComplexArray, owner: IntArray, own_part: ComplexArray, fold: float
 ) -> tuple[Array, Array, ComplexArray, IntArray]:
-    """Return the frequency (Hz), half width, own part and owner of the lightly damped poles of modes and tanks."""
+    """Return the frequency (Hz), half width (Hz), own part and owner of the lightly damped poles of modes and tanks."""
     centre, width, whose, n = np.empty(len(poles)), np.empty(len(poles)), np.zeros(len(poles), np.int64), 0
     own = np.empty(len(poles), np.complex128)
     for i in range(len(poles)):
@@ -209,15 +211,15 @@ def measure_many(
     values: Any,
     status: IntArray,
 ) -> None:
-    """Compute the margins of vehicles, or with `distances` these alone, into `values` (vehicles,) of MEASURES, and
-    `status` (vehicles,): DONE, UNSTABLE or HANDED_BACK.
+    """Enter the margins of vehicles into `values` (vehicles,) of MEASURES and their outcome into `status` (vehicles,).
 
-    `poles` (vehicles, n) are those of the continuous path, rad/s, both of each pair, with their residues. `owner` is +k
-    for mode k, -k for tank k and 0 otherwise. `own_part` is that of the path at each mode's frequency
-    (`own_part.centre_of`), NaN but for modes. The delay of each vehicle is `whole` periods and `rest_s`. The law from
-    mean rate to command has `zeros`, `law_poles` in w = z - 1, `gain`, and its poles other than integrators, rad/s.
-    `integrates` is True if no zero of the path cancels the integrator's pole. `start` contains zeros of 1 + L of a
-    similar vehicle, in w. Vehicles whose `status` is HANDED_BACK on entry are omitted.
+    The status is DONE, UNSTABLE or HANDED_BACK. If `distances` is True, only the distances are computed. `poles`
+    (vehicles, n) are those of the continuous path, rad/s, both of each pair, with their `residues`. `owner` is +k for
+    mode k, -k for tank k and 0 otherwise. `own_part` is that of the path at each mode's frequency
+    (`own_part.centre_of`), and NaN for other poles. The delay of each vehicle is `whole` periods and `rest_s`. The law
+    from mean rate to command has `zeros` and `law_poles` in w = z - 1 and the factor `gain`; `law_radps` are its poles
+    except integrators, rad/s. `integrates` is True if no zero of the path cancels the integrator's pole. `start`
+    contains the zeros of 1 + L of a similar vehicle, in w. Vehicles whose `status` is HANDED_BACK on entry are omitted.
     """
     for v in range(len(poles)):
         if status[v] != HANDED_BACK:

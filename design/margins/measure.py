@@ -43,7 +43,7 @@ BENDING_KINDS = ("bending", "slosh")
 class LeastValue:
     """The least of several values and its frequency.
 
-    It is infinite at NaN without a bound, and NaN for an unstable loop.
+    Without a value, it is infinite at a frequency of NaN. For an unstable loop, it is NaN.
     """
 
     value: float
@@ -58,28 +58,29 @@ NOTHING = LeastValue(np.nan, np.nan)
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """The margins of a stable loop: positive numbers, infinite if nothing bounds them.
+    """The margins of a stable loop as positive numbers. A margin without a bound is infinite.
 
-    For the rigid body, `rigid_phase` is the least over the crossings outside bending lobes (slosh may be among them).
-    `crossover_hz` is the last of those where `|L|` falls. `rigid_gain` and `aero_gain` are the upper and lower gain
-    margins at the crossings outside all lobes, above and below the crossover. Unnamed lobes count as bending.
+    A bound consists of a value and its frequency, where zero and infinity denote limits. `gain_up` is the increase and
+    `gain_down` the decrease of gain at which the loop reaches -1. Both include all crossings and lobes and are exact:
+    between them the loop is stable. `phase` is the least turn in either direction over all crossings of `|L|` = 1.
+    `delay` is the least delay in s that moves a crossing to -1. For a sampled loop it is exact for whole periods; in
+    between, it includes the change of phase only. A continuous loop whose gain remains above 1 has a delay margin of 0.
+
+    For the rigid body, `rigid_phase` is the least over the crossings outside bending lobes; crossings in slosh lobes
+    are included. `crossover_hz` is the highest frequency of those crossings at which `|L|` falls. `rigid_gain` and
+    `aero_gain` are the upper and lower gain margins at the crossings outside all lobes, above and below the crossover.
+    Unnamed lobes count as bending.
 
     The margins of an unstable loop are all NaN, so that no comparison with a limit can pass. `stable`, `unstable_poles`
     and `growth_1ps` describe its distance from stability. Crossings, lobes and `curve` describe L and are always
     present.
-
-    A bound is a value and its frequency (zero and infinity being limits). `gain_up` is the gain that may be added
-    before the loop reaches -1, `gain_down` the gain that may be removed. Both include all crossings and lobes and are
-    exact: between them the loop is stable. `phase` is the least turn in either direction over all crossings of `|L|` =
-    1. `delay` is the least delay in s that brings a crossing to -1. For a sampled loop it is exact for whole periods,
-    and accounts for the turn of phase alone in between. A continuous loop that stays above 1 has no delay margin: 0.
     """
 
     stable: bool
-    unstable_poles: int  # zeros of 1 + L to the right of the axis, from their list
-    encircled_poles: int  # the same from the curve's encirclements; if they disagree, the loop counts as unstable
-    growth_1ps: float  # greatest real part of the closed loop's poles: growth, or minus the slowest decay
-    growth_hz: float  # of that pole
+    unstable_poles: int  # zeros of 1 + L in the right half plane, from the list of poles
+    encircled_poles: int  # the same number from the curve's encirclements; the loop is stable only if both are 0
+    growth_1ps: float  # greatest real part of the closed-loop poles: growth rate, or minus the slowest decay rate
+    growth_hz: float  # frequency of that pole
     gain_crossings: GainCrossings
     phase_crossings: PhaseCrossings
     curve: LoopCurve
@@ -91,23 +92,23 @@ class Margins:
     aero_gain_db: LeastValue = NOTHING
     rigid_gain_db: LeastValue = NOTHING
     rigid_phase_deg: LeastValue = NOTHING
-    crossover_hz: float = np.nan  # 0 without one
+    crossover_hz: float = np.nan  # 0 without a crossover
     disks: Disks = NO_DISKS
     lobes: tuple[Lobe, ...] = ()
 
     @property
     def modulus(self) -> float:
-        """Return the least `|1 + L|`."""
+        """Return the modulus margin, the least `|1 + L|`."""
         return self.disks.sensitivity.size
 
     @property
     def gain_db(self) -> float:
-        """Return the lesser of gain up and gain down over all crossings, or NaN if the loop is unstable."""
+        """Return the lesser of upper and lower gain margin over all crossings, or NaN if the loop is unstable."""
         return float(np.minimum(self.gain_up_db.value, self.gain_down_db.value))
 
     @property
     def growth_time_s(self) -> float:
-        """Return the time in which an unstable loop grows e-fold, or infinity for a stable one."""
+        """Return the e-folding time of an unstable loop, or infinity for a stable loop."""
         return 1.0 / self.growth_1ps if self.growth_1ps > 0.0 else np.inf
 
 
@@ -121,14 +122,14 @@ def margins(
 ) -> Margins:
     """Compute the margins of a loop. Crossings and distances are accurate to 1e-8 dB and degrees if L itself is.
 
-    No crossing is missed if the loop's zeros and poles are known (`OpenLoop.factors`), however close two crossings are
-    (bounds.py). For the negative real axis this holds above -80 dB. For the kind `exact`, the grid decides.
-
-    `resonances` name the lobes. Only bending and slosh among them are examined. Without them, every open-loop pole with
-    a damping ratio below 0.1 that is visible in L has a lobe. A lobe whose peak is below minus `gain_stabilised_db` is
+    `resonances` name the lobes; only bending and slosh are examined. Without them, every open-loop pole with a damping
+    ratio below 0.1 that is visible in L has a lobe. A lobe with its peak below minus `gain_stabilised_db` is
     gain-stabilised. Poles slower than `lowest_hz` (including integrators, default `curve.lowest_hz_of`) are drift: they
-    do not count as unstable and are not searched for in L. Raises ValueError for a response that is not finite, and for
-    an improper loop.
+    do not count as unstable, and L is not examined there.
+
+    If the zeros and poles of the loop are known (`OpenLoop.factors`), no crossing is missed, however close two
+    crossings are (bounds.py). For the negative real axis this holds above -80 dB. For the kind `exact`, the grid limits
+    the resolution. Raises ValueError for a response that is not finite, and for an improper loop.
     """
     open_poles = curves.finite(loop.open_poles(), "open")
     lowest_hz = curves.lowest_hz_of(open_poles) if lowest_hz is None else lowest_hz
@@ -139,7 +140,9 @@ def margins(
     named = None if resonances is None else [r for r in resonances if r.kind in BENDING_KINDS]
     known = lightly_damped(open_poles, 2.0 * np.pi * lowest_hz) if named is None else named
     centre, part = np.array([r.centre_hz for r in known], float), np.array([r.part for r in known], complex)
-    width = np.maximum(np.array([r.half_width_hz for r in known], float), 1e-9 * centre)  # an undamped one: the grid's
+    width = np.maximum(
+        np.array([r.half_width_hz for r in known], float), 1e-9 * centre
+    )  # an undamped pole has the width of the grid
     slosh = np.array([r.kind == "slosh" for r in known], bool)
     numbers = packed(loop)
     with asking(loop) if numbers is None else nullcontext(numbers) as source:
@@ -197,12 +200,12 @@ def margins(
 
 
 BOUNDS = ("gain_up_db", "gain_down_db", "phase_deg", "delay_s", "aero_gain_db", "rigid_gain_db", "rigid_phase_deg")
-"""The rows of `bounds_of`, by the fields of `Margins`, then the crossover frequency."""
+"""The fields of `Margins` in the rows of `bounds_of`, which end with the crossover frequency."""
 GAIN_UP, GAIN_DOWN, PHASE, DELAY, AERO_GAIN, RIGID_GAIN, RIGID_PHASE, CROSSOVER = range(len(BOUNDS) + 1)
 
 
 class LoopResults(NamedTuple):
-    """The results of compiled code for one loop."""
+    """The results of the compiled functions for one loop."""
 
     trace: Trace
     crossings: Crossings
@@ -250,8 +253,10 @@ def _measure(
 def counted(
     t: Trace, open_: ComplexArray, closed: ComplexArray, source: LoopResponse
 ) -> tuple[Crossings, Trace, int, int]:
-    """Return the crossings of a curve with its turning points, and the curve with them added. Return also the numbers
-    of poles to the right of the axis, from their list and from the encirclements.
+    """Return the crossings of a curve, the curve with the crossings added, and two counts of unstable poles.
+
+    The curve `t` must contain its turning points. The counts are those from the list of poles and from the
+    encirclements.
     """
     past = crossings.steps_past_poles(t.frequency_hz, open_, closed)
     every, f, loop = crossings.crossings(t, past, source)
@@ -262,7 +267,10 @@ def counted(
 
 @routine
 def bounds_of(t: Trace, every: Crossings, table: Array, slosh: NDArray[np.bool_]) -> Array:
-    """Return the least of each margin and its frequency, (BOUNDS and the crossover, 2), infinite at NaN without any."""
+    """Return the least value of each margin and its frequency in Hz, (BOUNDS and the crossover, 2).
+
+    A margin without a bound is infinite at a frequency of NaN.
+    """
     out = np.full((CROSSOVER + 1, 2), np.nan)
     out[:, 0] = np.inf
     out[CROSSOVER, 1] = 0.0

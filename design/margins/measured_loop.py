@@ -1,4 +1,4 @@
-"""A measured loop at an operating point, from which the quantities of `design.quantities` are evaluated."""
+"""The measured loop at an operating point, which provides the quantities of `design.quantities`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from maxq.design.quantities import MEASURED, Convention, RigidBody
 
 @dataclass(frozen=True)
 class LoopAtPoint:
-    """A loop with its margins and lobes. An unstable loop has no margins, but its lobes still have peaks."""
+    """A loop with its margins and lobes. An unstable loop has no margins, but its lobes have peaks."""
 
     loop: Loop
     margins: Margins
@@ -34,7 +34,7 @@ class LoopAtPoint:
 
     @property
     def flown(self) -> Node:
-        """Return the operating point with its vehicle. Raises ValueError if it has none."""
+        """Return the operating point with its vehicle. Raises ValueError for an operating point without a vehicle."""
         return flown_point(self.node)
 
     @property
@@ -43,7 +43,7 @@ class LoopAtPoint:
 
     @cached_property
     def derivatives(self) -> StabilityDerivatives | None:
-        """Return the stability derivatives of the vehicle there, or None at rest."""
+        """Return the stability derivatives of the vehicle at the operating point, or None for a vehicle at rest."""
         try:
             return self.node.derivatives
         except ValueError:
@@ -51,15 +51,15 @@ class LoopAtPoint:
 
     @cached_property
     def bending(self) -> dict[int, Lobe]:
-        """Return the lobes of the bending modes below the end of the loop, by number."""
+        """Return the lobes of the bending modes within the frequency range of the loop, by mode number."""
         return {int(lobe.label.split()[1]): lobe for lobe in self.lobes if lobe.kind == "bending"}
 
     def mode_peak_db(self, first: int, last: int) -> float:
-        """Return the largest peak of these bending modes (`loop.own_part`), or -inf if the loop has none."""
+        """Return the largest peak of the bending modes `first` to `last` (`loop.own_part`), or -inf."""
         return max((lobe.peak_db for n, lobe in self.bending.items() if first <= n <= last), default=-math.inf)
 
     def mode_phase_deg(self, mode: int) -> float:
-        """Return the least lag or lead over the crossings of 0 dB that belong to a mode.
+        """Return the least lag or lead margin over the crossings of 0 dB that belong to a mode.
 
         It is inf without a crossing, and NaN for an unstable loop.
         """
@@ -68,7 +68,7 @@ class LoopAtPoint:
         return self.bending[mode].phase_deg if mode in self.bending else math.inf
 
     def slosh_phase_deg(self, peak_db: float) -> float:
-        """Return the least lag or lead of the slosh lobes with a peak above `peak_db`.
+        """Return the least lag or lead margin of the slosh lobes with a peak above `peak_db`.
 
         It is inf without such a lobe, and NaN for an unstable loop.
         """
@@ -78,9 +78,10 @@ class LoopAtPoint:
         return min(turns, default=math.inf)
 
     def rigid(self, body: RigidBody) -> tuple[float, float]:
-        """Return the frequency (Hz) and damping ratio of the rigid body under the law's static gains, or NaN at rest.
+        """Return the frequency (Hz) and damping ratio of the rigid body with the law's static gains.
 
-        `paper` means eqs 35 and 36, and `aerodynamic` includes M_alpha and M_q (erratum 12).
+        `body` is "paper" for eqs 35 and 36, or "aerodynamic" to include M_alpha and M_q (erratum 12). Both results are
+        NaN for a vehicle at rest. Without stiffness, the frequency is 0 and the damping ratio NaN.
         """
         d = self.derivatives
         if d is None:
@@ -93,13 +94,13 @@ class LoopAtPoint:
         omega = math.sqrt(square)
         rates = [
             name for name in law.inputs if name not in (*ANGLES, *DRIFTS, ACCELERATION)
-        ]  # all gyros of a blended rate
+        ]  # includes all gyros of a blended rate
         damping = d.m_delta_1ps2 * sum(law.static_gain(name) for name in rates) - m_q
         return omega / (2.0 * math.pi), damping / (2.0 * omega)
 
     @property
     def integral_hz(self) -> float:
-        """Return the corner k_i / (2 pi k_p) of the law's integral, Hz, or 0 without an integral."""
+        """Return the corner frequency k_i / (2 pi k_p) of the law's integral, Hz, or 0 without an integral."""
         law = self.loop.law
         return law.static_gain("angle_integral_rads") / (2.0 * math.pi * law.static_gain("angle_rad"))
 
@@ -109,5 +110,5 @@ class LoopAtPoint:
 
 
 def measure_loop(loop: Loop) -> LoopAtPoint:
-    """Measure a loop of a vehicle, with its lobes named after the modes and tanks. See `margins`."""
+    """Measure the loop of a vehicle. The lobes have the names of its modes and tanks (see `margins`)."""
     return LoopAtPoint(loop, margins(loop, resonances=loop.fixed.resonances()))

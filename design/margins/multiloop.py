@@ -1,14 +1,15 @@
-"""The margins of several loops: each with the others closed, and the disk margin of the whole.
+"""The margins of several loops: of each loop with the others closed, and the disk margin of all loops together.
 
-The disk margin of several loops is that of Seiler, Packard & Gahinet, An Introduction to Disk Margins, IEEE CSM 40(5),
-2020. It is the largest alpha for which the loops stay stable while each command is multiplied by its own factor,
+The disk margin of several loops is defined by Seiler, Packard & Gahinet, An Introduction to Disk Margins, IEEE CSM
+40(5), 2020. It is the largest alpha for which the loops remain stable while each command is multiplied by its own
+factor,
 
     f_i = (1 + d_i / 2) / (1 - d_i / 2),   |d_i| < alpha,   alpha = 1 / (largest mu(S - 1/2) over frequency)
 
-with S = (1 + L)^-1 and mu the structured singular value for complex d_i on the diagonal. The upper bound of mu is the
+with S = (1 + L)^-1, and mu the structured singular value for complex d_i on the diagonal. The upper bound of mu is the
 least of the greatest singular value of D (S - 1/2) D^-1 over diagonal D. For up to three loops, mu equals this bound
-(Packard & Doyle, Automatica 29(1), 1993). A law that treats each axis separately has the same margin at its
-measurements, because the law itself is such a D.
+(Packard & Doyle, Automatica 29(1), 1993). If the law treats each axis separately, the margin at its measurements is the
+same, since the law itself is such a D.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ from maxq.design.margins.distances import Disk, symmetric_disk
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.model.state_space import ComplexArray
 
-LOWEST_HZ = 1e-3  # slower than any flight: gravity, position and speed are held there, and roots are drift
+LOWEST_HZ = 1e-3  # slower motion is outside the model, which holds gravity, position and speed, and its roots are drift
 _BEGINS = LOWEST_HZ * np.array([1.0, 2.0, 0.5, 4.0, 0.25])
-_CLOSE = 1e-9  # relative, of mu
+_CLOSE = 1e-9  # relative tolerance of mu
 
 
 @dataclass(frozen=True)
 class MultiloopMargins:
-    """The margins of each axis with the others closed, in the order of `axes`, and the disk of all.
+    """The margins of each axis with the other loops closed, in the order of `axes`, and the disk margin of all loops.
 
-    They are NaN for an unstable loop.
+    All margins of an unstable loop are NaN.
     """
 
     time_s: float
@@ -48,9 +49,10 @@ class MultiloopMargins:
 
 
 def multiloop_margins(loop: Multiloop) -> MultiloopMargins:
-    """Return the margins.
+    """Return the margins of several loops.
 
-    The disk is searched for where any of the single loops turns, and between these frequencies.
+    The search for the disk margin uses the frequencies of the single loops' curves, and refines the result between
+    them.
     """
     single = [loop.one(axis) for axis in loop.axes]
     each = tuple(margins(one, zones=(), lowest_hz=_begin_hz(one.open_poles())) for one in single)
@@ -61,7 +63,7 @@ def multiloop_margins(loop: Multiloop) -> MultiloopMargins:
 
 
 def _begin_hz(open_poles: ComplexArray) -> float:
-    """Return a frequency near LOWEST_HZ and apart from slow roots.
+    """Return a frequency near LOWEST_HZ at a distance from slow roots.
 
     A curve that begins at a slow root makes half a turn about -1.
     """
@@ -72,8 +74,9 @@ def _begin_hz(open_poles: ComplexArray) -> float:
 
 
 def _least_disk(loop: Multiloop, frequencies_hz: Array) -> tuple[float, float]:
-    """Return alpha / 2 and its frequency, with exact mu where its bound by balancing is not below the greatest value
-    found.
+    """Return alpha / 2 and its frequency in Hz.
+
+    The exact mu is computed only where its bound by balancing exceeds the greatest value found so far.
     """
     matrices = _half(loop, frequencies_hz)
     d = np.exp(log_scales(matrices))
@@ -100,7 +103,7 @@ def _half(loop: Multiloop, frequencies_hz: Array) -> ComplexArray:
 
 
 def structured_singular_value(matrix: ComplexArray) -> float:
-    """Return an upper bound of mu for complex scalars on the diagonal, with a relative accuracy of 1e-9.
+    """Return an upper bound of mu for complex scalars on the diagonal, to a relative accuracy of 1e-9.
 
     For at most three scalars, the bound equals mu.
     """
@@ -108,12 +111,14 @@ def structured_singular_value(matrix: ComplexArray) -> float:
 
     def size(x: Array) -> float:
         d = np.exp(np.append(0.0, x))
-        return float(np.linalg.svd(matrix * (d[:, None] / d), compute_uv=False)[0])  # norm takes twice as long
+        return float(
+            np.linalg.svd(matrix * (d[:, None] / d), compute_uv=False)[0]
+        )  # np.linalg.norm takes twice as long
 
     best = size(scales[1:] - scales[0])
-    if len(matrix) > 2:  # two are balanced at the least of their greatest singular value
+    if len(matrix) > 2:  # for two loops, balancing gives the exact minimum
         start = scales[1:] - scales[0]
-        for _ in range(3):  # convex, with kinks where singular values meet
+        for _ in range(3):  # the function is convex, with kinks where singular values coincide
             found = scipy.optimize.minimize(size, start, method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 0.0})
             if found.fun > best * (1.0 - _CLOSE):
                 break
@@ -122,12 +127,12 @@ def structured_singular_value(matrix: ComplexArray) -> float:
 
 
 def log_scales(matrices: ComplexArray) -> Array:
-    """Return the logarithm of the D that balances rows with columns (Osborne, J. ACM 7, 1960), (matrices, n): the
-    better of two.
-    """
+    """Return ln of the diagonal D that balances rows with columns (Osborne, J. ACM 7, 1960), (matrices, n)."""
     n = matrices.shape[-1]
     square, out = np.abs(matrices) ** 2 * (1.0 - np.eye(n)), np.zeros(matrices.shape[:2])
-    floor = 1e-24 * (np.abs(matrices) ** 2).max(axis=(1, 2))  # a loop that no other loop acts on has no scale
+    floor = 1e-24 * (np.abs(matrices) ** 2).max(
+        axis=(1, 2)
+    )  # keeps the scale finite for a loop that is not coupled to others
     for _ in range(1 if n < 3 else 30):
         for i in range(n):
             weight = np.exp(2.0 * (out[:, :, None] - out[:, None, :]))

@@ -1,4 +1,4 @@
-"""The response of a loop as numbers for compiled code, for the sampled loop of a law on the first gyro."""
+"""The response of a loop as numbers for compiled code, for a sampled loop with a law on the first gyro."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from maxq.design.margins import response
 from maxq.design.margins.response import LoopResponse, values_at
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain, zeros_and_poles
 
-_SAME = 1e-9  # relative, of a law's response by its zeros and poles
-_SAME_LOOP = 1e-8  # of the whole response: at 1e-4 Hz the other method loses eight digits of z - 1
+_SAME = 1e-9  # relative tolerance of the law's response from its zeros and poles
+_SAME_LOOP = 1e-8  # tolerance of the whole response: at 1e-4 Hz the reference method loses eight digits of z - 1
 _PROBES = 40
 
 
 def controller_factors(loop: Loop) -> tuple[ComplexArray, ComplexArray, float]:
-    """Return the zeros and poles of the law with the integrators of the angle, in w = z - 1, and its gain.
+    """Return the zeros, the poles and the gain of the law with the integrators of the angle, in w = z - 1.
 
-    Raises ValueError if these do not give the law's response to nine digits.
+    Raises ValueError if they do not reproduce the law's response to nine digits.
     """
     period, wanted = loop.fixed.node.instruments.sample_s, loop.law.inputs
     sums = 1 + max((ANGLES.index(name) for name in wanted if name in ANGLES), default=-1)
     a, c = np.eye(sums), np.eye(sums)
-    # an angle includes the increment of this sample
+    # an angle includes the increment of the present sample
     b, d = np.full((sums, 1), 0.0), np.full((sums, 1), 0.0)
     for k in range(sums):
         d[k] = b[k] = period ** (k + 1)
@@ -52,7 +52,10 @@ def controller_factors(loop: Loop) -> tuple[ComplexArray, ComplexArray, float]:
 
 
 def packed(loop: OpenLoop) -> LoopResponse | None:
-    """Return the response as numbers, or None for other loops and if the numbers do not give L to eight digits."""
+    """Return the response of a loop as numbers, or None for a loop that this form does not support.
+
+    The result is also None if the numbers do not reproduce L to eight digits.
+    """
     if not isinstance(loop, Loop) or not isinstance(loop.fixed, SampledFixedPath) or not loop.fixed.takes_rate:
         return None
     if any(name not in MEASUREMENTS for name in loop.law.inputs):

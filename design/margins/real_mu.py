@@ -1,12 +1,12 @@
-"""An upper bound of the structured singular value over real numbers.
+"""An upper bound of the structured singular value for real parameters.
 
-mu(M) is 1 / the least r for which 1 - M D is singular. D is a diagonal of real numbers up to r, each repeated over its
-number of rows. An upper bound (Fan, Tits & Doyle, IEEE Trans. Autom. Control 36, 1991) is the root of the greatest
-eigenvalue of
+1 / mu(M) is the least r for which 1 - M D is singular. D is a diagonal of real numbers of magnitude up to r, each
+repeated over its number of rows. An upper bound of mu (Fan, Tits & Doyle, IEEE Trans. Autom. Control 36, 1991) is the
+square root of the greatest eigenvalue of
 
     N^H N + j (G N - N^H G),      N = T M T^-1,
 
-with T and G = G^H block by block. Any T and G give an upper bound, and descent searches for the least.
+with block-diagonal T and G = G^H. Any T and G give an upper bound, and a descent searches for the least.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from maxq.control.kernel.records import Array
 from maxq.design.margins.multiloop import log_scales
 from maxq.design.model.state_space import ComplexArray
 
-_SHARPNESS = (10.0, 30.0, 100.0, 300.0)  # of the greatest eigenvalue, one after the other, where it is descended
+_SHARPNESS = (10.0, 30.0, 100.0, 300.0)  # of the smoothed greatest eigenvalue, in the order of the descents
 _ROUNDS, _STEPS, _TURN, _GAIN = 12, 60, 1.0, 0.01
 
 Scaling = tuple[ComplexArray, ComplexArray]
-"""The scalings T and G, zero off their blocks."""
+"""The scalings T and G, which are zero outside their diagonal blocks."""
 
 
 def real_mu_upper(
     m: ComplexArray, ranks: Sequence[int], start: Scaling | None = None, enough: float = 0.0
 ) -> tuple[float, Scaling]:
-    """Return an upper bound of mu of `m` (n, n) over real numbers, each repeated over its rank (`ranks`), and the
-    scaling that gives the bound.
+    """Return an upper bound of mu of `m` (n, n) for real parameters, and the scaling that gives the bound.
 
-    Descent begins with rows and columns balanced, and ends if the bound is below `enough`.
+    `ranks` contains the number of rows of each parameter. The descent begins with balanced rows and columns, or with
+    `start` if that is better, and ends as soon as the bound is at most `enough`.
     """
     owner = np.repeat(np.arange(len(ranks)), ranks)
     inside = owner[:, None] == owner
@@ -53,7 +53,7 @@ def real_mu_upper(
 
 
 def bound(m: ComplexArray, scaling: Scaling) -> float:
-    """Return the bound of mu of `m` that a scaling gives."""
+    """Return the upper bound of mu of `m` for a given scaling."""
     turn, g = scaling
     n = turn @ m @ np.linalg.inv(turn)
     return float(np.sqrt(max(np.linalg.eigvalsh(_form(n, g))[-1], 0.0)))
@@ -65,7 +65,10 @@ def _form(n: ComplexArray, g: ComplexArray) -> ComplexArray:
 
 
 def _hermitian(x: Array, inside: Array) -> ComplexArray:
-    """Return a matrix with the real parts in the lower triangle and the imaginary parts in the upper."""
+    """Return a Hermitian matrix from numbers: real parts in the lower triangle, imaginary parts in the upper triangle.
+
+    `inside` selects the elements of the diagonal blocks.
+    """
     whole = np.zeros(inside.shape)
     whole[inside] = x
     lower, upper = np.tril(whole, -1), np.triu(whole, 1)
@@ -73,7 +76,7 @@ def _hermitian(x: Array, inside: Array) -> ComplexArray:
 
 
 def _slopes(q: ComplexArray, inside: Array) -> Array:
-    """Return the derivative of Re tr(q H) by the numbers of `_hermitian`."""
+    """Return the derivative of Re tr(q H) with respect to the numbers that define H in `_hermitian`."""
     both = (q + q.conj().T).real
     return np.asarray((np.tril(both, -1) + np.diag(q.diagonal().real) + np.triu((q - q.T).imag, 1))[inside])
 
@@ -87,8 +90,10 @@ def _exp(h: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
 def descent(
     m: ComplexArray, inside: Array, start: Scaling, value: float, sharpness: float = 30.0
 ) -> Callable[[Array], tuple[float, Array]]:
-    """Return the smoothed bound squared, over `value` squared, and its slope, as a function of the turn of T and the
-    change of G.
+    """Return the objective of a descent: the smoothed squared bound divided by `value` squared, and its gradient.
+
+    The argument of the objective contains the exponent of the change of T, and the change of G. `start` is the scaling
+    at its zero.
     """
     before, scale, count = start[0] @ m @ np.linalg.inv(start[0]), max(value * value, 1e-12), int(inside.sum())
     sharp = sharpness / scale
@@ -99,8 +104,8 @@ def descent(
         sizes, vectors = np.linalg.eigh(_form(n, g))
         weight = np.exp(sharp * (sizes - sizes[-1]))
         smooth = sizes[-1] + np.log(weight.sum()) / sharp
-        p = (vectors * (weight / weight.sum())) @ vectors.conj().T  # derivative of the smoothed eigenvalue
-        by_n = p @ (n.conj().T + 1j * g)  # of 2 Re tr(by_n dn), dn = e n - n e; that of exp is taken at zero
+        p = (vectors * (weight / weight.sum())) @ vectors.conj().T  # derivative of the smoothed greatest eigenvalue
+        by_n = p @ (n.conj().T + 1j * g)  # 2 Re tr(by_n dn) with dn = e n - n e; the derivative of exp is taken at zero
         by_turn, by_g = 2.0 * (n @ by_n - by_n @ n), 2.0 * scale**0.5 * 1j * (n @ p)
         return smooth / scale, np.concatenate([_slopes(by_turn, inside), _slopes(by_g, inside)]) / scale
 
@@ -108,7 +113,10 @@ def descent(
 
 
 def _descended(m: ComplexArray, inside: Array, start: Scaling, value: float, sharpness: float) -> Scaling:
-    """Return T and G after a descent. The descent is short, since the slopes by T are those at its beginning."""
+    """Return T and G after a short descent.
+
+    It is short because the gradient with respect to T is exact only at its start.
+    """
     count = int(inside.sum())
     found = scipy.optimize.minimize(
         descent(m, inside, start, value, sharpness),

@@ -1,17 +1,16 @@
-"""The response L of one loop for compiled code: from poles and residues, or from a Python callback for a batch of
-frequencies.
+"""The response L of one loop for compiled code: from poles and residues, or from a Python callback.
 
 The sampled response is the sum of one term for each pole of actuator, vehicle and gyro. Consider a pole l with residue
-R of the continuous path. The command is held over a period T and acts t late, and the output is averaged over that
-period. The term of the pole is then
+R of the continuous path. The command is held over a period T and takes effect after m periods and t, and the output is
+averaged over a period. The term of the pole is then
 
     R (z^-(m+1) / T) [ E1(T) (E1(T - t) + exp(l (T - t)) E1(t) / z) / (z - exp(l T))
                        + E2(T - t) + (E2(t) + E1(T - t) E1(t)) / z ],       E1(a) = (exp(l a) - 1) / l,
                                                                             E2(a) = (E1(a) - a) / l
 
-for a delay of m periods and t, as sampling.py finds by matrix exponentials. All terms are functions of w = z - 1, since
-slow poles differ little from 1. The zeros of 1 + L are found simultaneously, starting from those of a similar loop (O.
-Aberth, Math. Comput. 27, 1973). A C callback evaluates any other loop (`loop.OpenLoop`).
+which sampling.py computes from matrix exponentials. All terms are functions of w = z - 1, since z of a slow pole
+differs little from 1. Aberth's method finds all zeros of 1 + L simultaneously, starting from those of a similar loop
+(O. Aberth, Math. Comput. 27, 1973). A C callback evaluates any other loop (`loop.OpenLoop`).
 """
 
 from __future__ import annotations
@@ -32,41 +31,41 @@ from maxq.control.kernel.records import Array
 from maxq.design.loop.loop import OpenLoop
 from maxq.design.model.state_space import ComplexArray
 
-FASTEST = 1e-6  # below this |z|, a pole is one that a delay has left out, or nearly so
+FASTEST = 1e-6  # poles with |z| below this value are those of pure delays
 TWO_PI = 6.283185307179586
 _MOST_ROUNDS = 60
 
 
 class LoopResponse(NamedTuple):
-    """The data from which the kernels compute the open loop L.
+    """The data from which compiled functions compute the open loop L.
 
-    `ask` is the address of the callback and `token` its argument; 0 means no callback.
+    `ask` is the address of the callback and `token` its argument. An address of 0 means that there is no callback.
     """
 
     sample_s: float
-    pairs: Array  # (pairs, 6): two numerators of degree 1 in w, the second one period late, and the denominator
+    pairs: Array  # (pairs, 6): two numerators of degree 1 in w (the second acts a period later), and the denominator
     singles: Array  # (poles, 3): two residues and the pole, in w
     direct: Array  # (2,)
-    zeros: ComplexArray  # of the law, in w
+    zeros: ComplexArray  # zeros of the law, in w
     poles: ComplexArray
     gain: float
-    periods: int  # of delay
+    periods: int  # whole periods of delay
     ask: int
     token: int
 
 
 class _Asked:
-    """A loop that compiled code evaluates through the callback, and the first exception that the loop raised."""
+    """A loop that compiled code evaluates through the callback, with the first exception that the loop raised."""
 
     def __init__(self, loop: OpenLoop) -> None:
         self.loop, self.problem = loop, None  # type: tuple[OpenLoop, BaseException | None]
 
     def answer(self, frequency_hz: Array) -> ComplexArray:
-        """Return L, or NaN after an exception, which `asking` raises again."""
+        """Return L at frequencies in Hz, or NaN after an exception. `asking` raises the exception again."""
         if self.problem is None:
             try:
                 return sampled(self.loop, frequency_hz)
-            except BaseException as problem:  # no exception passes through compiled code
+            except BaseException as problem:  # exceptions cannot pass through compiled code
                 self.problem = problem
         return np.full(len(frequency_hz), complex(np.nan, np.nan))
 
@@ -87,9 +86,9 @@ _ADDRESS = ctypes.cast(_ANSWER, ctypes.c_void_p).value or 0
 
 @contextmanager
 def asking(loop: OpenLoop) -> Iterator[LoopResponse]:
-    """Provide the response of any loop to compiled code.
+    """Provide the response of any loop to compiled code for the duration of the context.
 
-    Raises the exception that the loop raised, and ValueError for a response that is not finite or has another shape.
+    Raises the exception that the loop raised, and ValueError for a response that is not finite or has the wrong shape.
     """
     token, asked = next(_TOKENS), _Asked(loop)
     _ASKED[token] = asked
@@ -103,7 +102,7 @@ def asking(loop: OpenLoop) -> Iterator[LoopResponse]:
 
 
 def sampled(loop: OpenLoop, frequency_hz: Array) -> ComplexArray:
-    """Return L after a check. Raises ValueError if it is not finite or has another shape."""
+    """Return L at frequencies in Hz. Raises ValueError if a value is not finite or the shape is wrong."""
     values = np.asarray(loop.response(frequency_hz), np.complex128)
     if values.shape != frequency_hz.shape:
         raise ValueError(f"the loop's response has shape {values.shape}, not {frequency_hz.shape}")
@@ -140,7 +139,7 @@ def _ask_compiled(address, token, frequency_hz, out):  # type: ignore[no-untyped
 
 @routine
 def values_at(f: Array, loop: LoopResponse) -> ComplexArray:
-    """Return L at many frequencies."""
+    """Return L at frequencies `f` in Hz."""
     out = np.empty(len(f), np.complex128)
     if loop.ask != 0:
         if len(f) > 0:
@@ -159,7 +158,7 @@ def reciprocal(x: complex) -> complex:
 
 @routine
 def _e1(x: complex, a: float) -> complex:
-    """Return (exp(x) - 1) / x times a."""
+    """Return a (exp(x) - 1) / x."""
     if abs(x) > 0.5:
         return complex(a * (np.exp(x) - 1.0) / x)
     total, term = 1.0 + 0j, 1.0 + 0j
@@ -171,7 +170,7 @@ def _e1(x: complex, a: float) -> complex:
 
 @routine
 def _e2(x: complex, a: float) -> complex:
-    """Return (exp(x) - 1 - x) / x^2 times a^2."""
+    """Return a^2 (exp(x) - 1 - x) / x^2."""
     if abs(x) > 0.5:
         return complex(a * a * (np.exp(x) - 1.0 - x) / (x * x))
     total, term = 0.5 + 0j, 0.5 + 0j
@@ -192,7 +191,10 @@ def terms(
     beta: ComplexArray,
     direct: Array,
 ) -> None:
-    """Return w of each pole, its two residues in z, and the direct part."""
+    """Compute w of each pole (`mu`), its two residues in z (`alpha`, `beta`), and the `direct` part.
+
+    The results are written into the last four arguments.
+    """
     direct[0] = direct[1] = 0.0
     for i in range(len(poles)):
         x = poles[i]
@@ -210,7 +212,7 @@ def terms(
 
 @routine
 def by_pairs(poles: ComplexArray, mu: ComplexArray, alpha: ComplexArray, beta: ComplexArray) -> tuple[Array, Array]:
-    """Return the terms of conjugate pairs and of real poles (`LoopResponse`)."""
+    """Return the terms of conjugate pairs and of real poles, in the form of `LoopResponse`."""
     n, swings = len(poles), 0
     for i in range(n):
         swings += 1 if poles[i].imag > 0.0 else 0
@@ -230,9 +232,10 @@ def by_pairs(poles: ComplexArray, mu: ComplexArray, alpha: ComplexArray, beta: C
 
 @routine
 def _sum_terms(f: Array, loop: LoopResponse, out: ComplexArray) -> None:
-    """Compute L at the frequencies `f` (Hz) from its partial fractions.
+    """Compute L at the frequencies `f` (Hz) from its partial fractions, into `out`.
 
-    Each term is added at all frequencies in real arithmetic, which the compiler vectorises."""
+    Each term is added at all frequencies in real arithmetic, so that the compiler vectorises the loops.
+    """
     n = len(f)
     real, imag, late_re, late_im, re, im = np.empty((6, n))
     direct_0, direct_1 = loop.direct[0], loop.direct[1]
@@ -240,7 +243,7 @@ def _sum_terms(f: Array, loop: LoopResponse, out: ComplexArray) -> None:
         half = 0.5 * TWO_PI * f[k] * loop.sample_s
         sine, cosine = np.sin(half), np.cos(half)
         real[k], imag[k] = -2.0 * sine * sine, 2.0 * sine * cosine
-        # 1 / z, of size 1
+        # 1 / z
         late_re[k], late_im[k] = cosine * cosine - sine * sine, -2.0 * sine * cosine
         re[k], im[k] = direct_0 + direct_1 * late_re[k], direct_1 * late_im[k]
     for i in range(len(loop.pairs)):
@@ -284,7 +287,10 @@ def _sum_terms(f: Array, loop: LoopResponse, out: ComplexArray) -> None:
 def _newton(
     w: complex, mu: ComplexArray, alpha: ComplexArray, beta: ComplexArray, every: ComplexArray, loop: LoopResponse
 ) -> complex:
-    """Return the ratio of derivative to value, by w, of (1 + L) times the factors of `every` pole."""
+    """Return the logarithmic derivative of 1 + L times the product of (w - p) over all poles `every`.
+
+    The derivative is with respect to w.
+    """
     late = reciprocal(1.0 + w)
     total, slope = loop.direct[0] + loop.direct[1] * late, -loop.direct[1] * late * late
     for i in range(len(mu)):
@@ -318,7 +324,7 @@ def zeros_of_one_plus(
     every: ComplexArray,
     loop: LoopResponse,
 ) -> bool:
-    """Refine all zeros by Aberth's method. Return False if it does not converge."""
+    """Refine all zeros of 1 + L in place by Aberth's method. Return False if the iteration does not converge."""
     n = len(roots)
     done = np.zeros(n, np.bool_)
     for _ in range(_MOST_ROUNDS):

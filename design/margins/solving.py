@@ -1,7 +1,7 @@
-"""Objectives along a loop's frequency response, and solvers for their roots and minima, compiled.
+"""Compiled objectives along a loop's frequency response, and solvers for their roots and minima.
 
 The solvers treat many problems simultaneously: each step evaluates L at one frequency of every open problem. A loop
-evaluated in Python costs about the same for one frequency as for twenty, so the number of steps determines the time.
+that Python evaluates costs about the same for one frequency as for twenty, so the number of steps determines the time.
 """
 
 from __future__ import annotations
@@ -20,18 +20,19 @@ Real = TypeVar("Real", float, Array)
 
 TINY = 1e-300  # lower bound of a logarithm's argument
 DB = 20.0 / np.log(10.0)  # dB per neper
-ROOT_TOLERANCE = 1e-11  # of the function, nepers or sine of an angle: 1e-10 dB or 6e-10 degrees
-STEP = 4.0 * np.finfo(float).eps  # relative width below which a bracket is a point
-VALUE_TOLERANCE = 1e-12  # improvement of a minimum below which it is accepted
+ROOT_TOLERANCE = 1e-11  # of the function, in nepers or as the sine of an angle: 1e-10 dB or 6e-10 degrees
+STEP = 4.0 * np.finfo(float).eps  # relative width below which a bracket counts as a point
+VALUE_TOLERANCE = 1e-12  # a minimum is accepted if the expected improvement is smaller
 MOST_STEPS = 100
 GOLDEN = 0.3819660112501051
 
 SENSITIVITY, COMPLEMENTARY, SYMMETRIC, MINUS_LOG_SIZE, LOG_SIZE, SINE, MINUS_SINE, LAG_DEG, LEAD_DEG, CLEARANCE = range(
     10
 )
-"""Objectives: ln |1 + L|, ln |1 + 1/L|, ln |1 + L|/|1 - L|, -ln |L|, ln |L|, sine of the phase, minus that, lag and
-lead that turn L to the phase of -1, deg. From CLEARANCE on, the clearances of zones number 0, 1, ...; from CORNER
-down, their corners (distances.py); from LOBE on, ln of a lobe's term over its bound (`lobe_excess`)."""
+"""Objectives: ln |1 + L|, ln |1 + 1/L|, ln |1 + L|/|1 - L|, -ln |L|, ln |L|, sine of the phase and its negative, lag
+and lead that turn L to the phase of -1, deg. Numbers from CLEARANCE upwards are the clearances of zones 0, 1, ..., and
+from CORNER downwards their corners (distances.py). From LOBE upwards, the objective is ln of the ratio of a lobe's term
+to its bound (`lobe_excess`)."""
 CORNER, LOBE = -1, 1000
 DIAMOND, RECTANGLE, ELLIPSE = range(3)
 
@@ -42,13 +43,13 @@ def log_size(loop: ComplexArray) -> Array:
 
 
 def from_minus_one_deg(loop: ComplexArray) -> Array:
-    """Return the phase beyond the nearest -180 + 360 k degrees, in (-180, 180]."""
+    """Return the phase relative to the nearest -180 + 360 k degrees, in (-180, 180]."""
     return np.asarray(np.degrees(np.angle(-loop)))
 
 
 @formula
 def vertex(a: Real, c: Real, b: Real, fa: Real, fc: Real, fb: Real) -> tuple[Real, Real]:
-    """Return the lowest point of the parabola through three points, and its distance below the middle point."""
+    """Return the lowest point of the parabola through three points, and its depth below the middle point."""
     left, right = (fa - fc) / (c - a), (fb - fc) / (b - c)
     curvature = (left + right) / (b - a)
     slope = (right * (c - a) - left * (b - c)) / (b - a)
@@ -56,7 +57,7 @@ def vertex(a: Real, c: Real, b: Real, fa: Real, fc: Real, fb: Real) -> tuple[Rea
 
 
 def wrapped(angle: float, half_turn: float) -> float:
-    """Return the same angle in [-half_turn, half_turn)."""
+    """Return the angle wrapped to [-half_turn, half_turn)."""
     return float((angle + half_turn) % (2.0 * half_turn) - half_turn)
 
 
@@ -78,15 +79,16 @@ def angle(x: complex) -> float:
 
 @routine
 def lag_of(x: complex) -> float:
-    """Return the lag in [0, 360) deg that turns a value to the phase of -1."""
+    """Return the lag in [0, 360) deg that turns a complex value to the phase of -1."""
     return float(np.degrees(angle(-x)) % 360.0)
 
 
 @routine
 def lobe_excess(j: int, hz: float, x: complex, lobes: Array) -> float:
-    """Return ln of the term of lobe j over the largest of SHARE times the rest of L = `x` and all other terms.
+    """Return ln of the ratio of lobe j's term to its bound.
 
-    `lobes` (lobes, 4): real and imaginary part of the strength, frequency and half width, Hz.
+    The bound is the largest other term, or SHARE times the rest of L if that is larger. `x` is L at `hz`. `lobes`
+    (lobes, 4) contains real and imaginary part of the strength, frequency and half width, Hz.
     """
     most = 0.0
     for i in range(len(lobes)):
@@ -98,9 +100,9 @@ def lobe_excess(j: int, hz: float, x: complex, lobes: Array) -> float:
 
 @routine
 def objective(kind: int, hz: float, x: complex, shapes: Array) -> float:
-    """Return an objective at a frequency and value of L.
+    """Return an objective at a frequency `hz` where L is `x`.
 
-    `shapes` contains zones (zones, 3) by shape and half axes in deg and dB, or the lobes of `lobe_excess`.
+    `shapes` contains zones (zones, 3) as shape and half axes in deg and dB, or the lobes of `lobe_excess`.
     """
     if kind == SENSITIVITY:
         return log_abs(1.0 + x)
@@ -133,7 +135,7 @@ def objective(kind: int, hz: float, x: complex, shapes: Array) -> float:
 
 @routine
 def objectives(kind: int, loop: ComplexArray, zones: Array) -> Array:
-    """Return an objective of L alone at each point."""
+    """Return an objective that depends on L alone, at each point of a curve."""
     out = np.empty(len(loop))
     for k in range(len(loop)):
         out[k] = objective(kind, 0.0, loop[k], zones)
@@ -142,19 +144,18 @@ def objectives(kind: int, loop: ComplexArray, zones: Array) -> Array:
 
 @routine
 def roots(kind: IntArray, ends: Array, values: Array, loop: LoopResponse, shapes: Array) -> Array:
-    """Return a root of each objective in its bracket.
+    """Return a root (Hz) of each objective in its bracket.
 
-    `ends` and `values` have the shape (problems, 2), the values with opposite signs.
-
-    Zero counts as either sign. Chandrupatla's method is used: inverse quadratic interpolation if it is safe, bisection
-    otherwise (T. R. Chandrupatla, Advances in Engineering Software 28, 1997). A jump through zero is found like a root.
+    `ends` and `values` have the shape (problems, 2). The two values of a problem have opposite signs; zero counts as
+    either sign. Chandrupatla's method uses inverse quadratic interpolation if it is safe, and bisection otherwise (T.
+    R. Chandrupatla, Advances in Engineering Software 28, 1997). A jump through zero counts as a root.
     """
     n = len(kind)
     x1, x2, f1, f2 = ends[:, 0].copy(), ends[:, 1].copy(), values[:, 0].copy(), values[:, 1].copy()
     best, share, open_ = np.empty(n), np.empty(n), np.empty(n, np.bool_)
     for i in range(n):
         best[i] = x1[i] if abs(f1[i]) < abs(f2[i]) else x2[i]
-        share[i] = min(max(f1[i] / (f1[i] - f2[i]), 0.05), 0.95)  # the first step is that of the secant
+        share[i] = min(max(f1[i] / (f1[i] - f2[i]), 0.05), 0.95)  # the first step is a secant step
         open_[i] = f1[i] != 0.0 and f2[i] != 0.0
     for _ in range(MOST_STEPS):
         which = np.flatnonzero(open_)
@@ -189,12 +190,11 @@ def roots(kind: IntArray, ends: Array, values: Array, loop: LoopResponse, shapes
 
 @routine
 def minima(kind: IntArray, points: Array, values: Array, loop: LoopResponse, shapes: Array) -> Array:
-    """Return the lowest point within each bracket.
+    """Return the lowest point (Hz) within each bracket.
 
-    `points` and `values` have the shape (problems, 3), and the middle value is the least.
-
-    The method uses parabolas, and a golden section if they stall. The value is accurate to VALUE_TOLERANCE, the place
-    to its square root.
+    `points` and `values` have the shape (problems, 3), and the middle value is the least. The method uses parabolas,
+    and a golden section if they stall. The minimum is accurate to VALUE_TOLERANCE, and its location to the square root
+    of that.
     """
     n = len(kind)
     a, c, b = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()

@@ -1,17 +1,15 @@
-"""The deviations of vehicles and their correlation: the draws of a campaign as changes of an operating point's packed
-parameters.
+"""The deviations of vehicles and their correlation: the draws of a campaign as changes of packed parameters.
 
-Vehicle N of a sweep is run N of the campaign: `drawn` takes the same draws, by `Plan.draw`. It changes the record
-through the key paths of the table `RULES` for many vehicles at once. The result equals that of drawing, rebuilding and
-packing the scenario. Air, wind and noise of a run belong to its flight and are not changed here.
+Vehicle N of a sweep is run N of the campaign: `drawn` takes the same draws, by `Plan.draw`. It changes the records of
+many vehicles at once, through the key paths of the table `RULES`. The result is that of drawing, rebuilding and packing
+the scenario. The air, wind and noise of a run belong to its flight and are not changed here.
 
-Corners, ellipsoids and bounds need a scale for each deviation. The scale is the score of a normal distribution. The
-campaign's distribution exceeds a deviation of k sigma as often as a normal quantity exceeds k sigma (`Plan.of_scores`).
-A normal deviation is k times its standard deviation. A uniform one is at 0.86 of its half-range at 1.5 sigma and at
-0.997 of it at 3 sigma, and never beyond its bound. A log-normal or triangular one has its own tails. The middle is the
-median of every distribution, which is the nominal value if the campaign is symmetric about it.
-
-`campaign_of` (spread.py) writes a campaign of normal deviations by their three sigma.
+Corners, ellipsoids and bounds need a scale for each deviation. The scale is the score of a normal distribution: a
+deviation of k sigma has the same exceedance probability as k sigma of a normal quantity (`Plan.of_scores`). A normal
+deviation is k times its standard deviation. A uniform one is at 0.86 of its half-range at 1.5 sigma and at 0.997 of it
+at 3 sigma, and never beyond its bound. A log-normal or triangular deviation follows the quantiles of its own
+distribution. The middle is the median of every distribution, which is the nominal value if the campaign is symmetric
+about it. `campaign_of` (spread.py) derives a campaign of normal deviations from their 3-sigma values.
 """
 
 from __future__ import annotations
@@ -37,14 +35,14 @@ from maxq.sim.input.remembered import cached_by_identity
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_vehicle import Stage
 
-_LEAST = 0.05  # of the nominal value, to which a search is limited if the distribution cannot be negative
+_LEAST = 0.05  # smallest value in a search, relative to nominal, of a quantity that must be positive
 
 
 class Rule(NamedTuple):
-    """The field of `Dispersion` that a key of a stage changes, by the result to the `power`, and the `planes` in which
-    it acts.
+    """The field of `Dispersion` that a key of a stage changes, by the result to the `power`.
 
-    With `sensitivity`, a key of the same engine, the change is the exponential of this value times the deviation.
+    `planes` are the planes in which the change acts. With `sensitivity`, the name of another key of the engine, the
+    factor is the exponential of that key's value times the deviation.
     """
 
     field: str
@@ -92,29 +90,29 @@ RULES = {
     "mass.y_cg_m": Rule("centre_of_gravity_y_m"),
     "mass.z_cg_m": Rule("centre_of_gravity_z_m"),
 }
-"""The rules by key of a stage, without the number of a single engine or actuator. # is a number."""
+"""The rules by key of a stage, without the number of a single engine or actuator. # represents a number."""
 UNREAD = re.compile(
     r"engine(\.#)?\.(misalignment_deg\.#|roll_arm_m)|actuator(\.#)?(\.yaw)?\.(rate_limit_degps|angle_limit_deg|stop_deg|backlash_deg|bias_deg\.#)"
     r"|gyro\.(bias_degph|scale_factor|misalignment_deg)\.#|gyro\.noise_deg_rt_h|computer\.command_limit_deg"
     r"|mass\.table\.I(xy|xz|yz)_kgm2"
 )
-"""The keys of a stage on which no margin depends: errors and limits of instruments, which a linear model omits."""
+"""A pattern for keys of a stage that no margin depends on: errors and limits that a linear model omits."""
 _ACTUATOR, _OF_ONE = re.compile(r"^(actuator|engine)\.(?!#\.)"), r"\1.#."
 
 
 class Act(NamedTuple):
-    """The change of one number of a `Dispersion` by one target of a draw."""
+    """The change of one element of a `Dispersion` field by one target of a draw."""
 
     draw: Draw
     target: int
     field: str
-    part: int  # of the field
+    part: int  # index in the field
     power: float
-    of_whole: bool  # the result is a factor or an amount, not a new value
-    sensitivity: float | None = None  # of the logarithm of the field
+    of_whole: bool  # True if the result is a factor or an increment rather than a new value
+    sensitivity: float | None = None  # derivative of the field's logarithm
 
     def change(self, result: Array) -> Array:
-        """Return the factors or the amounts for results of the draw, (vehicles,)."""
+        """Return the factors or increments for the results of the draw, (vehicles,)."""
         target, added = self.draw.targets[self.target], self.field in ADDED
         if self.sensitivity is not None:
             return np.asarray(np.exp(self.sensitivity * (result - target.nominal)))
@@ -127,7 +125,7 @@ class Act(NamedTuple):
 class Deviations:
     """The draws of a campaign that change the stage of an operating point.
 
-    Scores `u` (places,) are independent, in the order of `places`, and in units of three sigma.
+    Scores `u` (places,) are independent, in the order of `places`, and in units of 3 sigma.
     """
 
     campaign: LoadedCampaign
@@ -156,13 +154,13 @@ class Deviations:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Return the draws that change the stage in a way that `RULES` does not cover."""
+        """Return the names of the draws that change the stage in a way that `RULES` does not cover."""
         acting = {act.draw.name for act in self._found[0]}
         return tuple(dict.fromkeys(name for name in self._found[1] if name not in acting))
 
     @cached_property
     def _plan(self) -> Plan:
-        """Return the plan of the draws that act, and of those with which they are correlated."""
+        """Return the plan of the draws that act at this point and of the draws with which they are correlated."""
         names = {act.draw.name for act in self._found[0]}
         entries = {act.draw.entry for act in self._found[0] if act.draw.group is not None}
         every = self.campaign.plan
@@ -173,7 +171,7 @@ class Deviations:
 
     @cached_property
     def places(self) -> tuple[str, ...]:
-        """Return the name of each score: that of its draw."""
+        """Return the name of each score, which is the label of its draw."""
         labels = [d.label for d in self._plan.draws]
         by_stream = {d.stream: d for d in reversed(self._plan.draws)}
         each = [by_stream[stream] for stream in self._plan.score_names]
@@ -181,36 +179,36 @@ class Deviations:
 
     @cached_property
     def fields(self) -> tuple[str, ...]:
-        """Return the field of `Dispersion` that each place changes first."""
+        """Return the field of `Dispersion` that each score changes first."""
         first: dict[str, str] = {}
         for act in self._found[0]:
             first.setdefault(act.draw.stream, act.field)
         return tuple(first.get(stream, "") for stream in self._plan.score_names)
 
     def at(self, u: Array, label: str = "") -> Dispersion:
-        """Return the vehicle of scores."""
+        """Return the deviated vehicle for scores `u` (places,)."""
         return self.of_scores([u], [label])[0]
 
     def of_scores(self, every: Sequence[Array], labels: Sequence[str] = ()) -> list[Dispersion]:
-        """Return the vehicles of scores."""
+        """Return the deviated vehicles for several vectors of scores."""
         z = 3.0 * np.reshape(np.asarray(every, float), (len(every), len(self.places)))
         drawn, _ = self._plan.of_scores(z, np.zeros(len(z), np.int64))
         return self._dispersions(self._within(drawn), labels or [""] * len(every))
 
     def drawn(self, numbers: range) -> list[Dispersion]:
-        """Return the vehicles of runs of the campaign.
+        """Return the vehicles of the given runs of the campaign.
 
-        The campaign draws a run again as a whole if its values exclude each other. Here, such a run is not drawn again.
+        The campaign redraws a run if its values are mutually inconsistent. Such runs are not redrawn here.
         """
-        plan = dataclasses.replace(self.campaign.plan, wind=None)  # its draws are separate streams
+        plan = dataclasses.replace(self.campaign.plan, wind=None)  # wind draws are separate streams
         found = plan.draw(numbers.start, len(numbers)) if len(numbers) else Drawn(0, np.zeros(0, np.int64))
         results = {place: np.array(found.flown.get(place, ()), float) for place in self._wanted}
         return self._dispersions(results, [f"vehicle {n}" for n in numbers])
 
     def scenario(self, base: LoadedScenario, u: Array) -> LoadedScenario:
-        """Return the scenario `base` flown by the vehicle of scores.
+        """Return the scenario `base` with the deviated vehicle for scores `u`.
 
-        Raises ScenarioError if no such vehicle is possible.
+        Raises ScenarioError if the vehicle is not possible.
         """
         drawn, _ = self._plan.of_scores(3.0 * np.reshape(u, (1, -1)), np.zeros(1, np.int64))
         values = {place: float(result[0]) for place, result in self._within(drawn).items()}
@@ -227,7 +225,7 @@ class Deviations:
         return [(d.name, n) for d in self._plan.draws for n in range(len(d.targets)) if not d.is_text]
 
     def _within(self, drawn: Drawn) -> dict[tuple[str, int], Array]:
-        """Return the results by draw and target, kept within the draws' own bounds."""
+        """Return the results by draw and target, limited to the bounds of the draws."""
         out = {}
         for d in self._plan.draws:
             for n, target in enumerate(() if d.is_text else d.targets):
@@ -236,7 +234,7 @@ class Deviations:
                     -np.inf if d.spec.at_least is None else d.spec.at_least,
                     np.inf if d.spec.at_most is None else d.spec.at_most,
                 )
-                for mark, bound in target.bounds:  # a search continues where a draw is drawn again
+                for mark, bound in target.bounds:  # a search stops at the bound, whereas a campaign redraws
                     if mark in ("gt", "ge"):
                         least = bound + (_LEAST * abs(target.nominal) if mark == "gt" else 0.0)
                         result = np.maximum(result, least)
@@ -246,7 +244,7 @@ class Deviations:
         return out
 
     def _dispersions(self, results: dict[tuple[str, int], Array], labels: Sequence[str]) -> list[Dispersion]:
-        """Return the changes of packed parameters by results of all vehicles, by draw and target."""
+        """Return the deviated vehicles from the results by draw and target."""
         fields: dict[str, Array] = {}
         for act in self._found[0]:
             if act.field not in fields:
@@ -275,7 +273,7 @@ def deviations_of(campaign: LoadedCampaign, node: Node) -> Deviations:
 def acting_at(campaign: LoadedCampaign, spread: Spread, node: Node) -> LoadedCampaign:
     """Return the campaign.
 
-    Raises ScenarioError if `spread` names the campaign and it changes nothing at an operating point.
+    Raises ScenarioError if `spread` names the campaign and none of its draws changes the operating point.
     """
     if spread.campaign is not None and not deviations_of(campaign, node).places:
         source, at = spread.where
@@ -299,7 +297,7 @@ def _parts_of(field: str, node: Node) -> int:
 
 
 def _key_in_stage(key: str, stage: Stage, number: int) -> str | None:
-    """Return a key path of the scenario as a key of a stage, or None if it does not belong to this stage."""
+    """Return a key path of the scenario as a key of the stage, or None if it does not belong to the stage."""
     prefix = f"vehicle.stage.{number}."
     if key.startswith(prefix):
         return stage.counted_key(key.removeprefix(prefix))
@@ -314,9 +312,7 @@ def _rule_of(key: str) -> Rule | None:
 
 
 def _acts(draw: Draw, n: int, target: Target, key: str, stage: Stage, node: Node) -> Iterator[Act]:
-    """Yield the changes by the target of a draw, or nothing if `RULES` has no entry for it or does not cover such a
-    draw.
-    """
+    """Yield the changes by one target of a draw, or nothing if `RULES` does not cover the key or the kind of draw."""
     rule = _rule_of(key)
     if rule is None or node.plane not in rule.planes:
         return
@@ -335,7 +331,7 @@ def _acts(draw: Draw, n: int, target: Target, key: str, stage: Stage, node: Node
 
 
 def _indices(key: str, numbers: list[int], stage: Stage, node: Node) -> Sequence[int]:
-    """Return the parts of a field that a key of a stage names."""
+    """Return the indices in a field that correspond to a key of a stage."""
     part = key.partition(".")[0]
     spatial = int(node.held.sizes.spatial_modes)
     if part == "bending":
@@ -354,7 +350,7 @@ def _indices(key: str, numbers: list[int], stage: Stage, node: Node) -> Sequence
 
 
 def _sections(key: str, numbers: list[int], stage: Stage, node: Node) -> list[int]:
-    """Return the parts of `actuator_sections` in the node's plane that a key of the actuators names."""
+    """Return the indices in `actuator_sections` that correspond to an actuator's key in the plane of the node."""
     several = isinstance(stage.actuator, tuple)
     given = stage.actuator[numbers[0]] if isinstance(stage.actuator, tuple) else stage.actuator
     assert given is not None
@@ -370,7 +366,7 @@ def _sections(key: str, numbers: list[int], stage: Stage, node: Node) -> list[in
 
 
 def _pendulums_of(stage: Stage, tank: int, key: str) -> list[int]:
-    """Return the pendulums of a tank that a key changes: all of its modes, or a mode that has its own damping."""
+    """Return the pendulums of a tank that a key changes: all of its modes, or the mode with its own damping ratio."""
     tanks = [each for *_, each in stage.tanks]
     first = sum(each.pendulums for each in tanks[:tank])
     mine = list(range(first, first + tanks[tank].pendulums))

@@ -1,6 +1,4 @@
-"""Operating points with deviating parameters: each deviation changes the packed parameters or properties of the held
-stage.
-"""
+"""Operating points with deviating parameters. Each deviation changes packed parameters or properties of the stage."""
 
 from __future__ import annotations
 
@@ -18,41 +16,43 @@ from maxq.sim.packing.schedule import without_bobs
 from maxq.sim.vehicle import schedule
 
 Factors = float | Sequence[float]
-"""A value for all modes, tanks, engines or groups of engines, or one each. It is 1 for those beyond the last."""
+"""A value for all modes, tanks, engines or engine groups, or one value each. The factor is 1 beyond the last value."""
 
 
 @dataclass(frozen=True)
 class Dispersion:
-    """The deviations of a vehicle: factors unless a unit is named. The default changes nothing.
+    """The deviations of a vehicle, as factors unless a unit is given. The defaults change nothing.
 
-    Each deviation acts on packed parameters and properties as packing a changed scenario would. `slosh_*`, `inertia`
-    and `centre_of_gravity_m` leave the hinges and the other properties of the whole vehicle unchanged (the core makes
-    up the difference). A pendulum of another frequency has another length.
+    Each deviation acts on packed parameters and properties in the same way as packing a changed scenario. `slosh_*`,
+    `inertia` and `centre_of_gravity_m` leave the hinges and the other properties of the whole vehicle unchanged, and
+    the core absorbs the difference. A changed slosh frequency changes the length of the pendulum.
     """
 
-    bending_frequency: Factors = 1.0  # per mode, the spatial ones first
+    bending_frequency: Factors = 1.0  # per mode, spatial modes first
     bending_damping: Factors = 1.0
     bending_slope: Factors = 1.0  # at the gyro and other sensors
-    bending_shape: Factors = 1.0  # displacement and slope at the gimbals, through which the mode is excited
+    bending_shape: Factors = 1.0  # displacement and slope at the gimbals, which excite the mode
     slosh_frequency: Factors = 1.0  # per pendulum
     slosh_mass: Factors = 1.0
-    slosh_damping: Factors = 1.0  # with that of walls and rings
-    slosh_damping_ratio: Factors = 1.0  # without it
-    actuator_frequency: Factors = 1.0  # of the poles, not the zero, per group of engines
+    slosh_damping: Factors = 1.0  # all damping, including walls and rings
+    slosh_damping_ratio: Factors = 1.0  # damping ratio without walls and rings
+    actuator_frequency: Factors = 1.0  # of the poles but not of the zero, per group of engines
     actuator_damping: float = 1.0
-    actuator_sections: Factors = 1.0  # eight per group: frequencies of three poles and the zero, then damping ratios
+    actuator_sections: Factors = (
+        1.0  # eight factors per group: frequencies of three pole pairs and of the zeros, then damping ratios
+    )
     gyro_frequency: float = 1.0
-    delay_s: float = 0.0  # added to the computer's delay; a negative value shortens it, at most to zero
-    thrust: Factors = 1.0  # per engine, at its mass flow
-    mass_flow: Factors = 1.0  # per engine, with its thrust: the burn rate
+    delay_s: float = 0.0  # added to the computer's delay, whose sum is at least zero
+    thrust: Factors = 1.0  # per engine, at unchanged mass flow
+    mass_flow: Factors = 1.0  # per engine, with proportional thrust: the burn rate
     normal_force: float = 1.0
     axial_force: float = 1.0
-    rate_damping: float = 1.0  # aerodynamic, by body rates
+    rate_damping: float = 1.0  # aerodynamic damping of body rates
     centre_of_pressure_m: float = 0.0  # moved aft
     inertia: Factors = 1.0  # of the whole vehicle about y and z
     roll_inertia: float = 1.0
-    mass: float = 1.0  # of the whole vehicle, at its inertia
-    mass_kg: float = 0.0  # added likewise
+    mass: float = 1.0  # of the whole vehicle, at unchanged inertia
+    mass_kg: float = 0.0  # added to the mass of the whole vehicle, at unchanged inertia
     centre_of_gravity_m: float = 0.0  # of the whole vehicle, moved aft
     centre_of_gravity_y_m: float = 0.0
     centre_of_gravity_z_m: float = 0.0
@@ -79,7 +79,7 @@ ADDED = (
     "centre_of_gravity_y_m",
     "centre_of_gravity_z_m",
 )
-"""The fields that are added. All others multiply."""
+"""The fields that are increments. All others are factors."""
 SIGNED = (*ADDED, "bending_slope", "bending_shape", "normal_force")
 POSITIVE = (
     "bending_frequency",
@@ -95,13 +95,13 @@ POSITIVE = (
 )
 _RATE_STEP_S = 1e-3
 SECTIONS = 8
-"""The numbers of an actuator in `Dispersion.actuator_sections`."""
+"""The number of elements per actuator in `Dispersion.actuator_sections`."""
 
 NOMINAL = Dispersion()
 
 
 def stacked(every: Sequence[Dispersion]) -> Dispersion:
-    """Return many deviations as one, with the vehicles along the last axis of the fields that differ (`deviated`)."""
+    """Return many deviations as one, with the vehicles along the last axis of fields that differ (see `deviated`)."""
     out = {}
     for f in dataclasses.fields(Dispersion):
         if f.name != "label":
@@ -112,10 +112,10 @@ def stacked(every: Sequence[Dispersion]) -> Dispersion:
 
 
 def deviated(held: HeldStage, plane: Plane, by: Dispersion, count: int = 1) -> HeldStage:
-    """Return the held stages of `count` deviations at once, as changes of the packed parameters and properties.
+    """Return `count` copies of a held stage with the deviations applied to packed parameters and properties.
 
-    Each number of `by` may be a scalar, one value for each part, or an array with the vehicles along its last axis
-    (`stacked`). Raises ValueError for too many factors, and if no core remains.
+    Each field of `by` is a scalar, one value for each part, or an array with the vehicles along its last axis
+    (`stacked`). Raises ValueError for too many factors, and for a core without positive mass and inertia.
     """
     held = held.repeated(count)
     vehicle, sizes = held.vehicle, held.sizes
@@ -123,7 +123,7 @@ def deviated(held: HeldStage, plane: Plane, by: Dispersion, count: int = 1) -> H
     n, m = spatial + planar, len(held.swing_rad)
 
     def each(name: str, parts: int) -> Array:
-        """Return the factors, (vehicles, parts)."""
+        """Return the factors of a field, (vehicles, parts)."""
         return _each(getattr(by, name), parts, name, count).T
 
     def one(name: str) -> Array:
@@ -160,7 +160,7 @@ def deviated(held: HeldStage, plane: Plane, by: Dispersion, count: int = 1) -> H
 
 
 def _scale_shapes(held: HeldStage, shape: Array, slope: Array) -> None:
-    """Scale the modes' shapes at the gimbals, and their slopes at the gyro and all at other sensors, in place."""
+    """Scale the mode shapes at the gimbals, the slopes at the gyro and all components at other sensors, in place."""
     sizes, p = held.sizes, held.properties
     spatial, gimbals, sensors = int(sizes.spatial_modes), int(sizes.gimbals), int(sizes.sensors)
     by_gimbal = [slope if k >= gimbals - sensors else shape for k in range(gimbals)]
@@ -187,8 +187,8 @@ def _deviate_masses(
     """Change mass, CG (aft, y, z) and inertia (x, y, z) of the whole vehicle, and its pendulums, in place.
 
     The core is the vehicle without the bobs, as in `sim/packing/schedule.py` at each row of its tables. Packing
-    interpolates the cores between rows, so that the two differ there by the interpolation error. Rates change by
-    differences over the clock of the tables. Raises ValueError if no core remains.
+    interpolates the cores between rows, so that the results differ there by the interpolation error. Rates change by
+    finite differences over the clock of the tables. Raises ValueError if the core has no positive mass or inertia.
     """
     alike = all((factor == 1.0).all() for factor in (mass, inertia, slosh_mass, frequency))
     if alike and not mass_kg.any() and not moved_m.any():
@@ -197,12 +197,16 @@ def _deviate_masses(
     columns = np.array([schedule.tank_column(k) for k in range(slosh_mass.shape[1])], int)
     slosh, n = row.vehicle.slosh, len(columns)
     places = list(zip(slosh.place_y_m[:n].tolist(), slosh.place_z_m[:n].tolist(), strict=True))
-    tank = np.stack([slosh_mass, frequency**-2.0, np.ones_like(slosh_mass)], axis=-1)  # of mass, length, hinge
+    tank = np.stack(
+        [slosh_mass, frequency**-2.0, np.ones_like(slosh_mass)], axis=-1
+    )  # factors of mass, length and hinge
 
     def deviated_at(rows: Array) -> tuple[Array, Array]:
         """Return the core (vehicles, 10) and the bobs (tanks, vehicles, 3) of rows of the schedule."""
         bobs = [rows[:, c + schedule.TANK_MASS : c + schedule.TANK_HINGE + 1] for c in columns]
-        total = without_bobs(rows[:, : schedule.CG_RATE], [bob * (-1.0, 1.0, 1.0) for bob in bobs], places)  # put back
+        total = without_bobs(
+            rows[:, : schedule.CG_RATE], [bob * (-1.0, 1.0, 1.0) for bob in bobs], places
+        )  # adds the bobs to the core
         total[:, 0] = total[:, 0] * mass + mass_kg
         total[:, 1:4] += moved_m
         total[:, 4:7] *= inertia
@@ -221,7 +225,7 @@ def _deviate_masses(
     ends = [np.broadcast_to(table(clock_s + at), (len(p), table.n_columns)) for at in (-_RATE_STEP_S, _RATE_STEP_S)]
     (core_0, bobs_0), (core_1, bobs_1) = (deviated_at(end) for end in ends)
     per_s = float(row.timeline.burn_rate) / (2.0 * _RATE_STEP_S)
-    if p[:, schedule.CG_RATE : schedule.TOTAL_MASS].any():  # otherwise they are switched off
+    if p[:, schedule.CG_RATE : schedule.TOTAL_MASS].any():  # the rates may be switched off
         before = (ends[1] - ends[0])[:, 1 : schedule.CG_RATE]
         p[:, schedule.CG_RATE : schedule.TOTAL_MASS] += ((core_1 - core_0)[:, 1:] - before) * per_s
     for k, c in enumerate(columns):
@@ -236,10 +240,9 @@ def _deviate_masses(
 
 
 def _deviate_engines(held: HeldStage, thrust: Array, mass_flow: Array) -> None:
-    """Scale thrust and mass flow of each engine of the vehicle (vehicles, engines) in place, and the rates of the
-    masses.
+    """Scale thrust and mass flow of each engine (vehicles, engines), and the rates of the masses, in place.
 
-    Equal engines are one in the record, with the mean of their factors.
+    Equal engines share one entry of the record, with the mean of their factors.
     """
     if (thrust == 1.0).all() and (mass_flow == 1.0).all():
         return
@@ -261,7 +264,7 @@ def _deviate_engines(held: HeldStage, thrust: Array, mass_flow: Array) -> None:
 
 
 def disperse_instruments(instruments: Instruments, by: Dispersion) -> Instruments:
-    """Return the actuators, gyro and delay with the deviations applied."""
+    """Return the instruments with the deviations of actuators, sensors and delay applied."""
     g = instruments.gyro
     count = 1 + max(group for groups in instruments.groups for group in groups)
     factors = section_factors(by, count)[..., 0]
@@ -294,14 +297,14 @@ def section_factors(by: Dispersion, groups: int, count: int = 1) -> Array:
 
 
 def unlike_drives(by: Dispersion) -> bool:
-    """Return True if the actuators of a vehicle's groups of engines deviate from each other."""
+    """Return True if the actuators of the vehicle's engine groups deviate from each other."""
     sections = np.asarray(by.actuator_sections, float)
     apart = sections.ndim > 0 and bool(np.ptp(sections.reshape(-1, SECTIONS), axis=0).any())
     return apart or (np.size(by.actuator_frequency) > 1 and bool(np.ptp(np.asarray(by.actuator_frequency)) > 0.0))
 
 
 def _each(factors: Factors | Array, parts: int, name: str, count: int = 1) -> Array:
-    """Return the factors of parts, (parts, vehicles)."""
+    """Return the factors of each part, (parts, vehicles). Raises ValueError for more factors than parts."""
     given = np.asarray(factors, float)
     if given.ndim == 0:
         return np.full((parts, count), float(given))

@@ -1,23 +1,22 @@
-"""Operating points that are given: by published derivatives, or by the matrices A, B, C, D. They need no vehicle.
+"""Operating points without a vehicle, given by published derivatives or by the matrices A, B, C, D.
 
-**Derivatives.** Books and papers state a launcher by coefficients over time (Greensite, Analysis and Design of Space
-Vehicle Flight Control Systems, NASA CR-820 ff., 1967-70). Here z' is the drift velocity across the reference
-trajectory, theta the attitude, delta the gimbal angle, v the wind across the trajectory, and V the speed:
+**Derivatives.** Publications describe a launcher by coefficients over time (Greensite, Analysis and Design of Space
+Vehicle Flight Control Systems, NASA CR-820 ff., 1967-70). In the equations, z' is the drift velocity across the
+reference trajectory, theta the attitude, delta the gimbal angle, v the wind across the trajectory, and V the speed:
 
     z''     = a1 (z' - v) + (a1 V + a4) theta + a3 delta + sum of b_z eta
     theta'' = A6 (theta + (z' - v) / V) + K1 delta + sum of b_theta eta
     eta''   = -omega^2 eta - 2 zeta omega eta' - (phi_gimbal / M) T_c delta
 
-The plant has the states of `Node.plant`, with w = z' + V theta in place of z'. a4 is minus the axial specific force.
-The instruments are at one station with the slope sigma and the
-shape phi of each mode: the gyro measures theta' + sigma eta', and the accelerometer the lateral acceleration
+The plant has the states of `Node.plant`, with w = z' + V theta in place of z'. The coefficient a4 is minus the axial
+specific force. The instruments are at one station with the slope sigma and the shape phi of each mode. The gyro
+measures theta' + sigma eta', and the accelerometer measures the lateral acceleration
 
     a1 (w - v) + a3 delta + sum of (b_z eta - phi eta'' - a4 sigma eta)
 
-in its own axes, which turn with the bent body. With the attitude at the gyro, theta + sigma eta, navigation obtains the
-drift velocity z' - phi eta' of its station from it (design/loop/fixed_path.py).
-
-b_z and b_theta are the force and the moment of a thrust line that follows the bent body. Publications often omit them.
+in its own axes, which rotate with the local slope. With the attitude at the gyro, theta + sigma eta, navigation derives
+from it the drift velocity z' - phi eta' of its station (design/loop/fixed_path.py). The coefficients b_z and b_theta
+are the force and the moment of a thrust line that follows the bent body. Publications often omit them.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ DELTA = "delta_rad"
 
 @dataclass(frozen=True)
 class GivenMode:
-    """The coefficients of a bending mode at an instant; see the module."""
+    """The coefficients of a bending mode at one instant, as defined in the module."""
 
     omega_radps: float
     zeta: float
@@ -57,7 +56,7 @@ class GivenMode:
 
 @dataclass(frozen=True)
 class PlaneCoefficients:
-    """The coefficients of a plane at an instant; see the module."""
+    """The coefficients of a plane at one instant, as defined in the module."""
 
     V_mps: float
     A6_1ps2: float
@@ -69,7 +68,7 @@ class PlaneCoefficients:
     modes: tuple[GivenMode, ...] = ()
 
     def scaled(self, **factors: float) -> PlaneCoefficients:
-        """Return the coefficients with some multiplied by factors, by their names. Raises ValueError for others."""
+        """Return the coefficients with the named ones multiplied by factors. Raises ValueError for an unknown name."""
         known = [f.name for f in dataclasses.fields(self) if f.name != "modes"]
         for name, factor in factors.items():
             if name not in known:
@@ -77,7 +76,7 @@ class PlaneCoefficients:
         return dataclasses.replace(self, **{name: factor * getattr(self, name) for name, factor in factors.items()})
 
     def plant(self) -> StateSpace:
-        """Return the plant of the module, with the wind as its last input. Raises ValueError at rest."""
+        """Return the plant defined in the module, with the wind as its last input. Raises ValueError for zero speed."""
         if not self.V_mps > 0.0:
             raise ValueError(f"V_mps = {self.V_mps:g}: the coefficients of the air need a speed above 0")
         n = len(self.modes)
@@ -109,7 +108,7 @@ class PlaneCoefficients:
 
     @property
     def derivatives(self) -> StabilityDerivatives:
-        """Return the derivatives in the notation of Lee, Ahn & Roh (4 to 8), without rate damping."""
+        """Return the derivatives in the notation of Lee, Ahn & Roh (4 to 8), with zero rate damping."""
         return StabilityDerivatives(
             z_alpha_1ps=self.a1_1ps,
             m_alpha_1ps2=self.A6_1ps2,
@@ -121,13 +120,13 @@ class PlaneCoefficients:
 
 @dataclass(frozen=True, kw_only=True)
 class GivenPoint(OperatingPoint):
-    """An operating point whose plant is given. Its measured acceleration is that of `axial_mps2`'s frame."""
+    """An operating point whose plant is given. Its measured acceleration is in the frame of `axial_mps2`."""
 
     given: StateSpace
-    axial_mps2: float = 0.0  # specific force along the body that navigation measures
+    axial_mps2: float = 0.0  # axial specific force that navigation measures
     of_rigid: StabilityDerivatives | None = None
     coefficients: PlaneCoefficients | None = None
-    parts: tuple[tuple[str, StateSpace], ...] = ()  # the vehicle without some of its effects (`steps`)
+    parts: tuple[tuple[str, StateSpace], ...] = ()  # plants without some of the effects (`steps`)
 
     def held_still(self) -> GivenPoint:
         return self
@@ -164,7 +163,7 @@ class GivenPoint(OperatingPoint):
     def with_(self, **factors: float) -> GivenPoint:
         """Return the operating point with factors on its coefficients, such as A6_1ps2=1.3.
 
-        Raises ValueError for an operating point that is given by matrices.
+        Raises ValueError for an operating point that is given by matrices, and for an unknown coefficient.
         """
         if self.coefficients is None:
             raise ValueError(f"node at {self.time_s:g} s: matrices have no coefficients that could deviate")
@@ -172,7 +171,7 @@ class GivenPoint(OperatingPoint):
 
 
 def of_coefficients(point: GivenPoint, given: PlaneCoefficients) -> GivenPoint:
-    """Return an operating point with the plant of these coefficients, and its own air and instruments."""
+    """Return an operating point with the plant of the coefficients, in the air and with the instruments of `point`."""
     rigid = dataclasses.replace(given, modes=())
     airless = dataclasses.replace(rigid, A6_1ps2=0.0, a1_1ps=0.0)
     return dataclasses.replace(
@@ -193,10 +192,10 @@ def given_instruments(
     accelerometer: Gyro | None = None,
     latency_samples: int = 0,
 ) -> Instruments:
-    """Return instruments of an operating point without a vehicle; those that are absent are ideal.
+    """Return the instruments of an operating point without a vehicle. Instruments that are absent are ideal.
 
-    `sample_s` 0 is a computer without sampling: loops of the kinds `exact` and `pade` only. The delay may be longer
-    than a sample. Raises ValueError for a negative number, or one that is not finite.
+    A `sample_s` of 0 describes a computer without sampling, for loops of the kinds `exact` and `pade` only. The delay
+    may be longer than a sample. Raises ValueError for a negative or infinite time.
     """
     for name, value in (("sample_s", sample_s), ("delay_s", delay_s)):
         if not 0.0 <= value < math.inf:
@@ -228,11 +227,11 @@ def point_of_matrices(
 ) -> GivenPoint:
     """Return an operating point of the plant x' = A x + B u, y = C x + D u, from the gimbal angle to measurements.
 
-    `outputs` names the rows of C: `local_rate_radps`, the rate at the gyro, and optionally `accel_mps2`. The latter is
-    the lateral specific force at the accelerometer. The `inputs` are the columns of B: `delta_rad`, and optionally
-    `wind_mps`. The `states` may include `eta_1_m` and `slosh_1_rad`, whose poles are then lobes of these names. An
-    actuator is part of the matrices. `axial_mps2` is the axial specific force, for a law with feedback of the drift.
-    Raises ValueError for matrices that do not fit, and for other names.
+    `outputs` names the rows of C: `local_rate_radps`, the rate at the gyro, and optionally `accel_mps2`, the lateral
+    specific force at the accelerometer. `inputs` names the columns of B: `delta_rad`, and optionally `wind_mps`. The
+    `states` may include `eta_1_m` and `slosh_1_rad`; the lobes of their poles then have these names. An actuator must
+    be part of the matrices. `axial_mps2` is the axial specific force, for a law with drift feedback. Raises ValueError
+    for inconsistent matrices and for other names.
     """
     matrices = [np.atleast_2d(np.asarray(m, float)) for m in (a, b, c)]
     n, m, p = len(matrices[0]), len(inputs), len(outputs)
@@ -265,7 +264,7 @@ def point_of_matrices(
 
 
 def still(time_s: float, airspeed_mps: float, dynamic_pressure_Pa: float, axial_mps2: float) -> FlightCondition:
-    """Return the condition of an operating point that was not flown, with the axial load as gravity."""
+    """Return the condition of an operating point that is not part of a flight, with the axial load as gravity."""
     return FlightCondition(
         time_s=time_s,
         airspeed_mps=airspeed_mps,

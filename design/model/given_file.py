@@ -1,4 +1,4 @@
-"""Files of published derivatives over time (scenarios/points/), and the operating points that they give."""
+"""Files of published derivatives over time (scenarios/points/), and the operating points that they define."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _MODE_COLUMNS = Columns(
 
 
 class GivenModeSection(Section):
-    """A bending mode over time, with its displacement eta of any scale."""
+    """A bending mode over time. Its displacement eta may have any scale."""
 
     table: Annotated[CsvTable, _MODE_COLUMNS] = Field(
         description="omega_radps; phi_gimbal_1pkg (shape at the gimbal over the generalised mass); phi_gyro and "
@@ -46,7 +46,7 @@ class GivenModeSection(Section):
 
 
 class GivenActuator(Section):
-    """The actuator: one or two pairs of poles."""
+    """The actuator, with one or two pole pairs."""
 
     omega_radps: tuple[Positive, ...] = Field(description="natural frequencies, rad/s", min_length=1, max_length=2)
     zeta: tuple[Positive, ...] = Field(description="damping ratios in the same order", min_length=1, max_length=2)
@@ -56,7 +56,7 @@ class GivenActuator(Section):
             raise refuse(f"has {len(self.zeta)} numbers", f"a list of {len(self.omega_radps)}, as omega_radps", "zeta")
 
     def record(self) -> Actuator:
-        """Return the parameters of a linear actuator."""
+        """Return the parameters of the linear actuator."""
         omega, zeta = ((*x, *[1.0] * (4 - len(x))) for x in (self.omega_radps, self.zeta))
         none = math.inf
         w_1, w_2, w_3, w_4 = omega
@@ -66,13 +66,13 @@ class GivenActuator(Section):
 
 
 class GivenSensor(Section):
-    """A gyro or an accelerometer: a pair of poles."""
+    """A gyro or an accelerometer with one pole pair."""
 
     omega_radps: Positive = Field(description="natural frequency, rad/s")
     zeta: Positive = Field(description="damping ratio")
 
     def record(self) -> Gyro:
-        """Return the parameters of a sensor without errors."""
+        """Return the parameters of the sensor, without errors."""
         ideal = pack_gyro(None, ideal=True)
         return type(ideal)(**{**vars(ideal), "omega_radps": self.omega_radps, "zeta": self.zeta, "ideal": 0})
 
@@ -91,7 +91,7 @@ class GivenComputer(Section):
 
 
 class GivenPoints(Section):
-    """A file of published derivatives over time."""
+    """The contents of a file of published derivatives over time."""
 
     schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
     name: str = optional("name of the vehicle", "")
@@ -116,7 +116,7 @@ class GivenPoints(Section):
 
     @property
     def times_s(self) -> tuple[float, ...]:
-        """Return the times of the rows at which all tables have values and the vehicle moves, s."""
+        """Return the times of the rows at which all tables have values and the speed is positive, s."""
         first, last = self._span_s
         rows = zip(self.coefficients["time_s"].tolist(), self.coefficients["V_mps"].tolist(), strict=True)
         return tuple(t for t, speed in rows if first <= t <= last and speed > 0.0)
@@ -127,7 +127,7 @@ class GivenPoints(Section):
         return max(float(t["time_s"][0]) for t in tables), min(float(t["time_s"][-1]) for t in tables)
 
     def point(self, time_s: float) -> GivenPoint:
-        """Return the operating point at a time. Raises ValueError outside the tables, and at rest."""
+        """Return the operating point at a time. Raises ValueError for a time outside the tables and for zero speed."""
         first, last = self._span_s
         if not first <= time_s <= last:
             raise ValueError(f"node at {time_s:g} s: {self.name or 'the table'} holds {first:g} s to {last:g} s")
@@ -171,16 +171,16 @@ class GivenPoints(Section):
 
 
 def read_points(name: str | Path, overrides: Iterable[str] = ()) -> GivenPoints:
-    """Read a file of derivatives, or a built-in one, with `key=value` overrides. Raises ScenarioError."""
+    """Read a file of derivatives, or a built-in file, with `key=value` overrides. Raises ScenarioError."""
     return load_file(GivenPoints, "points", name, overrides)[0]
 
 
 def given_points(
     file: GivenPoints | str | Path, times_s: Iterable[float] | None = None, overrides: Iterable[str] = ()
 ) -> list[GivenPoint]:
-    """Return operating points of a file of derivatives at times (s), by default at all of its rows.
+    """Return the operating points of a file of derivatives at times (s), by default at all of its rows.
 
-    Raises ScenarioError, and ValueError for a time outside the tables or at rest.
+    Raises ScenarioError, and ValueError for a time outside the tables or with zero speed.
     """
     read = file if isinstance(file, GivenPoints) else read_points(file, overrides)
     return [read.point(float(t)) for t in (read.times_s if times_s is None else times_s)]

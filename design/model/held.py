@@ -1,12 +1,12 @@
 """A stage held at one instant of a flight, and its linear model: the Jacobian of the simulator's derivative.
 
-`HeldStage` has the packed parameters and properties with which the simulator flies, of one vehicle or of many that
-deviate from it. For the linear model, the vehicle flies straight over a flat Earth in uniform gravity, through uniform
-air, without rotation. Its speed and pitch angle are those of a `FlightCondition`. The plant then contains every effect
-of the flown instant except the Earth's rotation and curvature. The vehicle of one plane does not depend on its
-position. Modes, pendulums and engines are at rest. Spatial modes, and canted engines on a TVC load, are at the
-positions where the axial loads hold them. The instruments are ideal. The actuators are unit oscillators, which separate
-the derivatives by an engine's angle, rate and acceleration.
+`HeldStage` contains the packed parameters and properties of the simulator, for one vehicle or for many that deviate
+from it. For the linear model, the vehicle flies straight without rotation over a flat Earth, in uniform gravity and
+uniform air. Speed and pitch angle are those of a `FlightCondition`. The plant then contains every effect of the flown
+instant except the Earth's rotation and curvature, and is independent of position. Modes, pendulums and engines are at
+rest. Spatial modes, and canted engines on a TVC load, are deflected to the equilibrium under the axial loads. The
+instruments are ideal. The actuators are unit oscillators, which separates the derivatives with respect to an engine's
+angle, rate and acceleration.
 """
 
 from __future__ import annotations
@@ -41,25 +41,25 @@ Trim = tuple[float, float]
 OUTPUTS = ("q_radps", "local_rate_radps", "w_mps", "theta_rad")
 WIND = "wind_mps"
 Drives = Sequence[Sequence[tuple[int, float]]]
-"""The actuators that each drive moves (twice the group, one more in yaw) with the angle per command."""
+"""The actuators that each drive moves, as the channel 2 * group (+ 1 in yaw) and the angle per command."""
 
-_NOISE = 3e-14  # of the largest entry of a row, each times its step: smaller entries are rounding
-_SETTLING = 3  # steps of Newton's method
+_NOISE = 3e-14  # entries times their step, relative to the largest of the row, below which an entry is a rounding error
+_SETTLING = 3  # Newton iterations
 _UNIT = {"omega_1_radps": 1.0, "zeta_1": 0.5, "order": 2, "bias_rad": 0.0, "backlash_rad": 0.0, "ideal": 0}
 _UNIT |= dict.fromkeys(("angle_limit_rad", "rate_limit_radps", "stop_rad"), math.inf)
-"""The actuator angle'' = command - angle - angle'."""
+"""The parameters of the unit oscillator angle'' = command - angle - angle'."""
 
 
 @dataclass(frozen=True)
 class FlightCondition:
-    """The air and the path at an instant. The vehicle does not turn."""
+    """The air and the path at an instant, for a vehicle without rotation."""
 
     time_s: float  # vehicle clock
     airspeed_mps: float
     density_kgpm3: float
     pressure_Pa: float  # ambient
     mach: float
-    pitch_rad: float  # of the body axis above the horizon
+    pitch_rad: float  # angle of the body axis above the horizon
     gravity_mps2: float
 
     @property
@@ -69,10 +69,9 @@ class FlightCondition:
 
 @dataclass(frozen=True)
 class HeldStage:
-    """The `parameters` (vehicles,) of Parameters and `properties` (vehicles, PROPERTIES_SIZE) of vehicles at an
-    instant.
+    """The `parameters` (vehicles,) and `properties` (vehicles, PROPERTIES_SIZE) of vehicles at an instant.
 
-    `swing_rad` (pendulums,) is the amplitude of the swing that sets the damping of ring baffles.
+    `swing_rad` (pendulums,) is the slosh amplitude that determines the damping of ring baffles.
     """
 
     parameters: Records
@@ -86,7 +85,7 @@ class HeldStage:
 
     @property
     def vehicle(self) -> Any:
-        """Return the parameters of the vehicles as records, each field of shape (vehicles, ...)."""
+        """Return the vehicle parameters as records, with fields of shape (vehicles, ...)."""
         return self.parameters["vehicle"]
 
     @cached_property
@@ -94,30 +93,31 @@ class HeldStage:
         return coordinates_of(self.sizes)
 
     def repeated(self, count: int) -> HeldStage:
-        """Return a stage with this number of copies of the first vehicle."""
+        """Return a stage with `count` copies of the first vehicle."""
         return dataclasses.replace(
             self, parameters=np.repeat(self.parameters[:1], count), properties=np.repeat(self.properties[:1], count, 0)
         )
 
     def copied(self) -> HeldStage:
         """Return a copy with its own arrays."""
-        # `repeat` copies whole records; `copy` goes field by field, which takes six times as long
+        # `repeat` copies whole records, whereas `copy` copies field by field and takes six times as long
         return dataclasses.replace(self, parameters=np.repeat(self.parameters, 1), properties=self.properties.copy())
 
     @property
     def rings(self) -> Array:
-        """Return the damping ratio that ring baffles add per root of the swing, (vehicles, pendulums), rad^(-1/2)."""
+        """Return the damping ratio of ring baffles per root of the swing, (vehicles, pendulums), rad^(-1/2)."""
         n, slosh = len(self.swing_rad), self.vehicle["slosh"]
         return np.asarray(slosh["law_factor"][:, :n] * self.tank(schedule.TANK_RING) + slosh["ring_damping"][:, :n])
 
     def tank(self, column: int) -> Array:
-        """Return a column of `schedule` of each pendulum, (vehicles, pendulums)."""
+        """Return one column of `schedule` for each pendulum, (vehicles, pendulums)."""
         return self.properties[:, [schedule.tank_column(k) + column for k in range(len(self.swing_rad))]]
 
     # --- the linear model
     def prepared(self, condition: FlightCondition, trim: Trim) -> tuple[HeldStage, Array]:
-        """Change the stage in place to the air of a condition, with its rings as dampers, and return it with its states
-        (vehicles, MAX_STATE).
+        """Change the stage in place to a flight condition, and return it with its states (vehicles, MAX_STATE).
+
+        Ring baffles become linear dampers at the swing of the stage.
         """
         held, n = self, len(self.swing_rad)
         air, earth, air_m = condition, held.parameters["environment"]["earth"], held.parameters["environment"]
@@ -146,9 +146,7 @@ class HeldStage:
         return held, y
 
     def _settled(self, y: Array) -> Array:
-        """Return the states with spatial modes, and canted engines on a TVC load, at the positions where the loads of
-        the instant hold them.
-        """
+        """Return the states with spatial modes, and canted engines on a TVC load, in equilibrium with axial loads."""
         names = list(self.coordinates)
         at = [names.index(f"spatial_{k + 1}_m") for k in range(int(self.sizes.spatial_modes))]
         engine, places = self.vehicle["engine"], []
@@ -177,7 +175,7 @@ class HeldStage:
     def differentiated(
         self, y: Array, which: IntArray, steps: Array, wanted: IntArray, levels: int = jacobian.LEVELS
     ) -> tuple[Array, Array]:
-        """Return `linearised.differentiate` at the states of all vehicles."""
+        """Return rates and derivatives at the states of all vehicles, by `linearised.differentiate`."""
         memory = blank(Memory)
         memory["clock"]["started"], memory["held"]["burning"] = 1, 1
         return differentiate(
@@ -195,7 +193,7 @@ class HeldStage:
         )
 
     def groups_that_follow(self, plane: Plane) -> set[int]:
-        """Return the groups of engines of which one is gimballed in a plane."""
+        """Return the groups of engines with at least one engine that is gimballed in the plane."""
         engine, n = self.vehicle["engine"], int(self.sizes.engines)
         return {int(g) for g, f in zip(engine["group"][0, :n], engine[f"follows_{plane}"][0, :n], strict=True) if f}
 
@@ -211,9 +209,10 @@ class HeldStage:
         levels: int = jacobian.LEVELS,
         in_place: bool = False,
     ) -> tuple[Array, Array, Array, Array, Names]:
-        """Return A, B, C, D of all vehicles, (vehicles, ...), and the names; see `Node.plant`.
+        """Return A, B, C, D of all vehicles, (vehicles, ...), and their names (see `Node.plant_in_wind`).
 
-        With `in_place`, the stages are not copied and must not be used afterwards.
+        `wind` adds the wind as an input, and `moments` the bending moments as outputs. With `in_place`, the stage is
+        not copied and must not be used afterwards.
         """
         held, y = (self if in_place else self.copied()).prepared(condition, trim)
         found = _PlaneOf(self, plane)
@@ -237,7 +236,7 @@ class HeldStage:
         steps = np.array([*(steps[k] if k < n else 4e-3 for k in which[: size + 3 * m]), *([0.5] if wind else [])])
         if not moments:
             held.parameters["loads"]["stations"] = 0
-        # the other axes are held: rotation about them does not affect that about the plane's own axis
+        # the other axes are held, so that their rotation does not couple into that of the plane's axis
         held.properties[:, schedule.CORE_INERTIA + 3 : schedule.CORE_INERTIA + 6] = 0.0
         _, slopes = held.differentiated(y, np.array(which), steps, np.array(wanted), levels)
         tilt = found.signs[:, None]
@@ -248,7 +247,7 @@ class HeldStage:
         slopes[:, :, size : size + 3 * m] *= found.turn
         size_of = np.abs(slopes) * steps
         slopes[size_of < _NOISE * size_of.max(axis=2, keepdims=True)] = 0.0
-        slopes[:, 1:, 2] = 0.0  # gravity and air are uniform: only w' depends on the attitude
+        slopes[:, 1:, 2] = 0.0  # in uniform gravity and air, only w' depends on the attitude
         a, by_angle = slopes[:, :size, :size], slopes[:, :, size:]
         command = by_angle[:, :, 2 * m : 3 * m]
         orders = by_angle[:, :, :m] + command, by_angle[:, :, m : 2 * m] + command, command
@@ -284,7 +283,7 @@ class HeldStage:
         return held
 
     def _actuator(self, channel: int) -> int:
-        """Return the coordinate of the angle of an actuator. That of its rate follows."""
+        """Return the index of the coordinate of an actuator's angle. The rate is the next coordinate."""
         group, axis = divmod(channel, 2)
         if group == 0:
             return jacobian.FLAT + layout.N_ACTUATOR * axis
@@ -298,9 +297,9 @@ Names = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 
 
 class _PlaneOf:
-    """The coordinates of one plane among those of a stage, their signs in it, and names.
+    """The coordinates of one plane among those of a stage, with their signs and names.
 
-    The yaw plane is the pitch plane turned about x: w -> v, q -> -r, theta -> -psi, eta -> xi, delta -> -delta_yaw,
+    The yaw plane is the pitch plane rotated about x: w -> v, q -> -r, theta -> -psi, eta -> xi, delta -> -delta_yaw,
     gyro -> -gyro.
     """
 
@@ -350,7 +349,11 @@ class _PlaneOf:
         self._swings = [int(engine["swings"][0, e]) >= 0 for e in range(self._engines)]
 
     def drives_by(self, drive: Sequence[tuple[int, float]]) -> tuple[bool, bool]:
-        """Return two flags: engines of a drive swing on a load that its rate drives; some follow it."""
+        """Return two flags: the rate of a drive acts on engines, and its acceleration acts on engines.
+
+        The rate acts on engines with a TVC load, and the acceleration on all others. A drive without engines counts as
+        acting by acceleration.
+        """
         moved = {channel // 2 for channel, gain in drive if gain != 0.0}
         mine = [e for e in range(self._engines) if self._groups[e] in moved and self._follows[e]]
         swings = any(self._swings[e] for e in mine)
@@ -358,12 +361,12 @@ class _PlaneOf:
 
 
 def moment_name(station_m: float) -> str:
-    """Return the name of the plant's output at a station of section loads."""
+    """Return the name of the bending moment at a station of section loads, among the outputs of the plant."""
     return f"bending_{station_m:g}_Nm"
 
 
 def state_names(modes: int, tanks: int, loaded: int = 0) -> tuple[str, ...]:
-    """Return the names of the states of the plant of one plane."""
+    """Return the state names of the plant of one plane, with `loaded` angles of engines on TVC loads."""
     parts = [("eta_{}_m", "eta_{}_rate_mps", modes), ("slosh_{}_rad", "slosh_{}_rate_radps", tanks)]
     parts.append(("engine_{}_rad", "engine_{}_rate_radps", loaded))
     named = [name.format(k + 1) for *pair, count in parts for name in pair for k in range(count)]
@@ -371,12 +374,15 @@ def state_names(modes: int, tanks: int, loaded: int = 0) -> tuple[str, ...]:
 
 
 def table_clock_s(row: Any, time_s: float) -> float:
-    """Return the clock of a packed stage's tables at a time since its start."""
+    """Return the table clock of a packed stage at a time since the start of the stage, s."""
     return float(row.timeline.frozen_s) if row.timeline.frozen == 1 else float(row.timeline.burn_rate) * time_s
 
 
 def hold_stage(packed: Packed, clock_s: float, stage: int = 0) -> HeldStage:
-    """Return a packed stage that burns, at an instant of its tables' clock."""
+    """Return a packed, burning stage held at an instant of its table clock.
+
+    Instruments are ideal, and wind, turbulence and failures are absent.
+    """
     rows = packed.parameters[stage : stage + 1].copy()
     row, sizes = rows[0], packed.parameters[stage].vehicle.sizes
     properties = np.zeros((1, PROPERTIES_SIZE))
@@ -396,7 +402,7 @@ def hold_stage(packed: Packed, clock_s: float, stage: int = 0) -> HeldStage:
         for name, value in ideal.items():
             triad[name] = value
     engine, loads = vehicle["engine"], vehicle["tvc_load"]
-    engine["turned_pitch_rad"] = np.arctan2(engine["rest_z"], engine["rest_x"])  # as canted, without misalignment
+    engine["turned_pitch_rad"] = np.arctan2(engine["rest_z"], engine["rest_x"])  # cant angles without misalignment
     engine["turned_yaw_rad"] = -np.arcsin(engine["rest_y"])
     loads["friction_Nm"], loads["play_pitch_rad"], loads["play_yaw_rad"] = 0.0, 0.0, 0.0
     loads["stop_pitch_rad"], loads["stop_yaw_rad"] = math.inf, math.inf
@@ -404,7 +410,7 @@ def hold_stage(packed: Packed, clock_s: float, stage: int = 0) -> HeldStage:
 
 
 def blank_triad() -> dict[str, float]:
-    """Return the parameters of a gyro or accelerometer without errors and dynamics."""
+    """Return the parameters of an ideal gyro or accelerometer triad without errors."""
     errors = [
         f"{kind}_{axis}{unit}"
         for axis in "xyz"

@@ -1,4 +1,4 @@
-"""The actuators, gyro and further sensors of a stage, their timing, and both as linear systems (28) and (29)."""
+"""The actuators, gyro and further sensors of a stage with their timing, and their linear models (28) and (29)."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ Plane = Literal["pitch", "yaw"]
 
 ACCELERATION = "accel_mps2"  # lateral specific force at the accelerometer
 DERIVATIVES = ("delta_rad", "delta_rate_radps", "delta_accel_radps2")
-"""The angle of an actuator and its derivatives, which drive the vehicle."""
+"""The actuator angle and its derivatives, which are inputs of the vehicle."""
 
 
 def further_rate(number: int) -> str:
-    """Return the name of the measurement of a further rate gyro. Further gyros are counted from 2."""
+    """Return the name of a further gyro's measurement. Numbers begin at 2."""
     return f"rate_{number}_radps"
 
 
@@ -35,17 +35,17 @@ def sensed(number: int, sensor: Any) -> str:
 
 @dataclass(frozen=True)
 class Instruments:
-    """The actuators, gyro and timing of the flight computer in one plane.
+    """The actuators, sensors and timing of the flight computer in one plane.
 
-    `ideal` actuators and gyros have no dynamics.
+    Actuators and gyros with `ideal` set have no dynamics.
     """
 
-    actuators: tuple[Actuator, ...]  # of each drive: those of equal groups of engines are one
+    actuators: tuple[Actuator, ...]  # one for each drive; engine groups with equal actuators share a drive
     gyro: Gyro
     sample_s: float  # period of the computer: tau_VF of the converter (30), tau_DZ of the hold (32)
     delay_s: float  # tau_D (31), from sample to command
-    groups: tuple[tuple[int, ...], ...] = ((0,),)  # that each drive moves
-    sensors: tuple[tuple[str, Gyro, int], ...] = ()  # beyond the gyro: measured quantity, dynamics, latency in samples
+    groups: tuple[tuple[int, ...], ...] = ((0,),)  # engine groups that each drive moves
+    sensors: tuple[tuple[str, Gyro, int], ...] = ()  # further sensors: measured quantity, dynamics, latency in samples
 
     @property
     def actuator(self) -> Actuator:
@@ -54,7 +54,7 @@ class Instruments:
 
 
 def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:
-    """Return the instruments of a packed stage."""
+    """Return the instruments of a packed stage in one plane."""
     drives, of_group = drives_of(row, plane)
     return Instruments(
         actuators=tuple(drives),
@@ -74,7 +74,7 @@ def _gyro(record: Any) -> Gyro:
 
 
 def drives_of(row: Any, plane: Plane) -> tuple[list[Actuator], list[int]]:
-    """Return the different actuators of a plane, and the index of that of each group of engines."""
+    """Return the distinct actuators of a plane, and the index of the actuator of each engine group."""
     vehicle, axis = row.vehicle, 0 if plane == "pitch" else 1
     records = [vehicle.actuator_yaw if axis else vehicle.actuator_pitch]
     records += [vehicle.further_actuators[2 * k + axis] for k in range(int(vehicle.sizes.further_groups))]
@@ -89,9 +89,9 @@ def drives_of(row: Any, plane: Plane) -> tuple[list[Actuator], list[int]]:
 
 
 def allocation_at(pool: Array, row: Any, now_s: float, plane: Plane) -> tuple[tuple[float, float], ...]:
-    """Return the angles of each group of engines per command of the law, in its own plane and in the other one.
+    """Return the angles of each engine group per command of the law, in the law's plane and in the other plane.
 
-    The part in the other plane is assumed to pass through the actuators of this plane.
+    The angle in the other plane is assumed to pass through the actuators of the law's plane.
     """
     a, axis = row.computer.allocation, 0 if plane == "pitch" else 1
     if a.groups == 1:
@@ -102,12 +102,12 @@ def allocation_at(pool: Array, row: Any, now_s: float, plane: Plane) -> tuple[tu
 
 
 def of_drive(name: str, drive: int) -> str:
-    """Return the name of a derivative of a drive's angle."""
+    """Return the name of an angle or derivative of drive number `drive`, from 0."""
     return name if drive == 0 else f"{name}_{drive + 1}"
 
 
 def actuators(records: Sequence[Any]) -> StateSpace:
-    """Return the system from command to angle, rate and acceleration of every drive; see `actuator`."""
+    """Return the state space from command to angle, rate and acceleration of every drive (see `actuator`)."""
     each = [actuator(record) for record in records]
     states = tuple(of_drive(name, k) for k, one in enumerate(each) for name in one.states)
     outputs = tuple(of_drive(name, k) for k, one in enumerate(each) for name in one.outputs)
@@ -117,7 +117,7 @@ def actuators(records: Sequence[Any]) -> StateSpace:
 
 
 def actuator_response(record: Any, s: ComplexArray) -> ComplexArray:
-    """Return the ratio of angle to command at complex s, rad/s, as a product of its factors."""
+    """Return the ratio of angle to command at complex s, rad/s, as a product of factors."""
     out: ComplexArray = np.ones(np.shape(s), np.complex128)
     for omega, zeta in actuator_poles(record):
         out = out * lag(s, omega, zeta)
@@ -125,25 +125,24 @@ def actuator_response(record: Any, s: ComplexArray) -> ComplexArray:
 
 
 def lag(s: ComplexArray, omega: Array | float, zeta: Array | float) -> ComplexArray:
-    """Return omega^2 / (s^2 + 2 zeta omega s + omega^2)."""
+    """Return the response omega^2 / (s^2 + 2 zeta omega s + omega^2) at complex s, rad/s."""
     x = np.asarray(s) / omega
     return np.asarray(1.0 / (1.0 + x * (2.0 * zeta + x)))
 
 
 def actuator_poles(record: Any) -> list[tuple[float, float]]:
-    """Return the frequency (rad/s) and damping ratio of each pair of poles of a packed `Actuator`."""
+    """Return the frequency (rad/s) and damping ratio of each pole pair of a packed `Actuator`."""
     return [
         (getattr(record, f"omega_{k}_radps"), getattr(record, f"zeta_{k}")) for k in range(1, record.order // 2 + 1)
     ]
 
 
 def actuator(record: Any) -> StateSpace:
-    """Return the system from command to angle, rate and acceleration of the engine, with as many states as the order.
+    """Return the state space from command to angle, rate and acceleration of the engine.
 
-    `record` is a packed `Actuator`.
-
-    The system is a chain of second-order sections, each with its position and rate as states. Their order matters to
-    the limits only. The system of order six is (28), with the denominator four orders above the numerator.
+    `record` is a packed `Actuator`; the number of states is its order. The system is a chain of second-order sections
+    with position and rate as states. The order of the sections affects only the limits. A system of order six is (28),
+    with four more poles than zeros.
     """
     poles = actuator_poles(record)
     n = 2 * len(poles)
@@ -158,7 +157,7 @@ def actuator(record: Any) -> StateSpace:
             a[i + 1, i - 2] = omega**2
     angle = np.eye(n)[n - 2]
     if record.order == 6:
-        # the last numerator, s^2 + 2 z w s + w^2 over w^2, acts on its section's state: s^2 is the row of that rate
+        # numerator (s^2 + 2 z w s + w^2) / w^2 of the last section, with s^2 from the row of its rate
         omega_4, zeta_4 = float(record.omega_4_radps), float(record.zeta_4)
         angle = a[5] / omega_4**2
         angle[4] += 1.0
@@ -170,9 +169,9 @@ def actuator(record: Any) -> StateSpace:
 
 
 def gyro(record: Any) -> StateSpace:
-    """Return the system from local angular rate to sensed rate (29), with two states.
+    """Return the state space from local angular rate to sensed rate (29), with two states.
 
-    `record` is a packed `Gyro`, whose errors are not included.
+    `record` is a packed `Gyro`. Its errors are not included.
     """
     w, zeta = float(record.omega_radps), float(record.zeta)
     a: Array = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
@@ -188,7 +187,10 @@ def gyro(record: Any) -> StateSpace:
 
 
 def per_actuator_angle(s: ComplexArray, response: ComplexArray, inputs: tuple[str, ...]) -> list[ComplexArray]:
-    """Return the response (..., inputs) of a plant, whose inputs are derivatives of angles, per angle of each drive."""
+    """Return the response per actuator angle of each drive.
+
+    `response` (..., inputs) is the response of a plant whose `inputs` are angles and their derivatives.
+    """
     out: dict[str, ComplexArray] = {}
     for k, name in enumerate(inputs):
         order = next(n for n, of in enumerate(DERIVATIVES) if name.startswith(of))
@@ -200,7 +202,7 @@ def per_actuator_angle(s: ComplexArray, response: ComplexArray, inputs: tuple[st
 def per_command(
     s: ComplexArray, response: ComplexArray, inputs: tuple[str, ...], actuators: Sequence[Actuator]
 ) -> ComplexArray:
-    """Return the response per command of all drives together, each through its actuator."""
+    """Return the response per common command, summed over all drives in series with their actuators."""
     drives = zip(per_actuator_angle(s, response, inputs), actuators, strict=True)
     first, *others = (per_angle if a.ideal else per_angle * actuator_response(a, s) for per_angle, a in drives)
     return np.asarray(sum(others, first))

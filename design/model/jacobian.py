@@ -1,12 +1,12 @@
-"""The Jacobian of the simulator's derivative in local coordinates, compiled.
+"""The compiled Jacobian of the simulator's derivative in local coordinates.
 
 The simulator's state is on a manifold (a unit quaternion, unit vectors of the pendulums) and contains inertial and
-quasi-velocities. The coordinates of the linear model are independent; design/model/linearised.py lists them. The array
-`x` contains them in this order, with m pitch modes, n yaw modes and s spatial modes:
+quasi-velocities. The linear model has independent coordinates, which design/model/linearised.py defines. The array `x`
+contains them in this order, with m pitch modes, n yaw modes and s spatial modes:
 
     r_I (3) | velocity over ground in B (3) | rotation vector (3) | w_BI_B (3) | actuators, gyros and their integrals
     eta (m), eta' (m) | xi (n), xi' (n) | spatial modes and their quasi-velocities (2 s) | four per pendulum
-    all states of the simulator behind the pendulums
+    all states of the simulator after the pendulums
 
 The inputs follow the coordinates: the command of each actuator (pitch, yaw of each group), rad, and the velocity of the
 air in B, m/s (3).
@@ -44,12 +44,12 @@ from maxq.sim.vehicle.derivative import derive_properties
 from maxq.sim.vehicle.loads.kernel import MOMENT_Y, MOMENT_Z, SECTION_WIDTH, evaluate_sections
 from maxq.sim.vehicle.workspace import Evaluation, Work
 
-PLACE, VELOCITY, TURN, RATE, FLAT = 0, 3, 6, 9, 12  # of the coordinates
+PLACE, VELOCITY, TURN, RATE, FLAT = 0, 3, 6, 9, 12  # first indices of the coordinates
 FLEXIBLE = FLAT + states.N_FIXED - states.ACTUATOR
 OUTPUTS = (
     4  # engine angle in pitch and yaw, local rate at the gyro about y and z; then bending moments about y, about z
 )
-LEVELS = 6  # of the extrapolation at most; each halves the step
+LEVELS = 6  # maximum number of extrapolation levels, each with half the step of the previous one
 
 
 @kernel
@@ -62,8 +62,9 @@ def coordinate_count(sizes: Counts) -> int:
 
 @kernel
 def _partner(values: Array, first: int, k: int, count: int) -> float:
-    """Return entry k of a plane's modes, or zero beyond the last: modes of both planes are paired as far as
-    possible.
+    """Return element k of a plane's modes, or zero beyond the last mode.
+
+    Modes of both planes are paired as far as both exist.
     """
     value: float = values[first + k] if k < count else 0.0
     return value
@@ -71,7 +72,7 @@ def _partner(values: Array, first: int, k: int, count: int) -> float:
 
 @routine
 def coordinates_of(sizes: Counts, spin_radps: float, y: Array, x: Array) -> None:
-    """Return the coordinates of the state `y`, whose attitude is the reference."""
+    """Compute the coordinates `x` of the state `y`, whose attitude is the reference."""
     m, n = sizes.pitch_modes, sizes.yaw_modes
     eta, xi, w = states.eta_index(sizes), states.xi_index(sizes), vector_at(y, W_BI_B)
     q = quaternion_at(y, Q_BI)
@@ -110,7 +111,7 @@ def coordinates_of(sizes: Counts, spin_radps: float, y: Array, x: Array) -> None
 
 @routine
 def state_of(sizes: Counts, spin_radps: float, reference: Quaternion, x: Array, y: Array) -> None:
-    """Return the simulator's state at coordinates `x` about an attitude."""
+    """Compute the simulator's state `y` at coordinates `x` relative to a reference attitude."""
     m, n = sizes.pitch_modes, sizes.yaw_modes
     eta, xi, w, r = states.eta_index(sizes), states.xi_index(sizes), vector_at(x, RATE), vector_at(x, PLACE)
     q = quaternion_product(reference, quaternion_of(vector_at(x, TURN)))
@@ -145,9 +146,9 @@ def state_of(sizes: Counts, spin_radps: float, reference: Quaternion, x: Array, 
 
 @routine
 def rates_of(sizes: Counts, spin_radps: float, turning: Vector, x: Array, y: Array, dy: Array, out: Array) -> None:
-    """Return the time derivative of the coordinates from that of the state.
+    """Compute the time derivative of the coordinates, `out`, from the derivative `dy` of the state.
 
-    The reference attitude rotates at `turning`, in B.
+    The reference attitude rotates at `turning` (rad/s) in B.
     """
     m, n = sizes.pitch_modes, sizes.yaw_modes
     eta, xi, w, w_rate = states.eta_index(sizes), states.xi_index(sizes), vector_at(x, RATE), vector_at(dy, W_BI_B)
@@ -162,7 +163,7 @@ def rates_of(sizes: Counts, spin_radps: float, turning: Vector, x: Array, y: Arr
     set_vector(out, RATE, w_rate)
     for i in range(FLEXIBLE - FLAT):
         out[FLAT + i] = dy[states.ACTUATOR + i]
-    # eta' is taken from the simulator's derivative and not derived from the quasi-velocity here
+    # eta' is that of the simulator's derivative, without conversion from the quasi-velocity
     at, across = FLEXIBLE, FLEXIBLE + 2 * m
     for i in range(m):
         rolls = w_rate[0] * _partner(x, across, i, n) + w[0] * _partner(x, across + n, i, n)
@@ -190,9 +191,9 @@ def rates_of(sizes: Counts, spin_radps: float, turning: Vector, x: Array, y: Arr
 
 @kernel
 def _vector_rate(vector: Vector, turning: Vector) -> Vector:
-    """Return the rate of a rotation vector from the angular velocity in rotated axes.
+    """Return the rate of a rotation vector, given the angular velocity in the rotated axes.
 
-    The formula is the inverse of the right Jacobian, for small angles only (the next term of the series is of order 8).
+    The formula is a series of the inverse right Jacobian for small angles; the first omitted term is of order 8.
     """
     square = dot(vector, vector)
     factor = 1.0 / 12.0 + square * (1.0 / 720.0 + square / 30240.0)
@@ -202,9 +203,7 @@ def _vector_rate(vector: Vector, turning: Vector) -> Vector:
 
 @kernel
 def _angle(u: Vector, u_rate: Vector, u_accel: Vector, plane: int) -> tuple[float, float, float]:
-    """Return atan2 of the bob's lateral part (pitch: z, yaw: y) over -u_x, with its first and second time
-    derivatives.
-    """
+    """Return atan2 of the bob's lateral component (pitch: z, yaw: y) over -u_x, and its first two time derivatives."""
     a, a1, a2 = (u[2], u_rate[2], u_accel[2]) if plane == 0 else (u[1], u_rate[1], u_accel[1])
     b, b1, b2 = -u[0], -u_rate[0], -u_accel[0]
     square, turned = a * a + b * b, a1 * b - a * b1
@@ -214,7 +213,7 @@ def _angle(u: Vector, u_rate: Vector, u_accel: Vector, plane: int) -> tuple[floa
 
 @kernel
 def _bob(pitch: float, pitch_rate: float, yaw: float, yaw_rate: float) -> tuple[Vector, Vector]:
-    """Return the unit vector from hinge to bob and its rate in B, from angles below 90 degrees and their rates."""
+    """Return the unit vector from hinge to bob and its rate in B. The angles must be below 90 degrees."""
     to_z, to_y = math.tan(pitch), math.tan(yaw)
     along = (-1.0, to_y, to_z)
     along_rate = (0.0, yaw_rate * (1.0 + to_y * to_y), pitch_rate * (1.0 + to_z * to_z))
@@ -237,10 +236,9 @@ def motion(
     columns: Array,
     out: Array,
 ) -> None:
-    """Compute the rates of the coordinates at `x`, then the outputs.
+    """Compute the rates of the coordinates at `x`, followed by the outputs, into `out`.
 
-    `reference` contains attitude and angular velocity. `command` is the point of the inputs, to which the inputs in `x`
-    are added.
+    `reference` contains attitude and angular velocity. The inputs in `x` are added to those in `command`.
     """
     sizes = counts(p.vehicle.sizes)
     n, groups, spin = coordinate_count(sizes), 1 + sizes.further_groups, p.environment.earth.rate_radps
@@ -286,15 +284,19 @@ def differentiate(
     rate: Array,
     slopes: Array,
 ) -> None:
-    """Compute the rates and outputs at states `y` (vehicles, MAX_STATE) into `rate` (vehicles, rows), and the
-    derivatives of those that are `wanted` into `slopes` (vehicles, wanted, columns).
+    """Compute the rates and outputs at the states `y` and their derivatives.
 
-    Vehicle k has row `memory.clock.stage` + k of `P` and row k of `y` and `properties`. `which` contains the
-    coordinates and inputs of the columns, with their first `steps`. `read` is 1 to read the `properties` of the vehicle
-    at the instant, and 0 to use them as given and derive the dependent ones. `space` is (1,) of Space, `x` is memory of
-    coordinates and inputs, and `tableau` has the shape (3 LEVELS + 4, rows). Derivatives are central differences,
-    extrapolated to step zero over all powers of the step (Ridders 1982; odd powers too, because of terms like |w| w).
-    The best entry of each tableau by its error estimate is used.
+    `rate` (vehicles, rows) receives the rates and outputs at `y` (vehicles, MAX_STATE). `slopes` (vehicles, wanted,
+    columns) receives the derivatives of the `wanted` rows.
+
+    Vehicle k has row `memory.clock.stage` + k of `P` and row k of `y` and `properties`. `which` contains the indices of
+    the coordinates and inputs of the columns, and `steps` their first steps. If `read` is 1, the `properties` of the
+    vehicle at the instant are read. If it is 0, they are used as given and the dependent ones are derived. `space` is
+    (1,) of Space, `x` is working memory for coordinates and inputs, and `tableau` has the shape (3 LEVELS + 4, rows).
+
+    Derivatives are central differences, extrapolated to step zero over all powers of the step (Ridders 1982). Odd
+    powers are included because of terms such as |w| w. The element of each tableau with the least error estimate is
+    used.
     """
     memory, pool = state[0], bare_pointer(pool)
     for vehicle in range(len(y)):
@@ -385,15 +387,16 @@ def differentiate_vehicle(
 
 @kernel
 def extrapolated(tableau: Array, i: int, levels: int) -> float:
-    """Return the entry of a tableau of differences, at column i of `tableau`, with the least error estimate.
+    """Return the element of an extrapolation tableau with the least error estimate.
 
-    Rows 0 to LEVELS contain the differences by steps that halve. The others are working memory.
+    Column i of `tableau` contains the differences in rows 0 to LEVELS - 1, each with half the step of the previous row.
+    The other rows are working memory.
     """
     best: float = tableau[0, i]
     least = math.inf
     tableau[LEVELS, i] = best
     for level in range(1, levels):
-        # the previous row is in one half of the working memory, this one in the other
+        # the previous and the present row of the tableau alternate between two halves of the working memory
         before, now = LEVELS + (level - 1) % 2 * LEVELS, LEVELS + level % 2 * LEVELS
         tableau[now, i] = tableau[level, i]
         for power in range(1, level + 1):

@@ -1,29 +1,29 @@
-"""The simulator's own equations, linearised numerically at a frozen instant: all axes with all their couplings.
+"""The simulator's own equations, linearised numerically at a frozen instant, with all axes and their couplings.
 
     model = linearise(*at_rest(packed, time_s), time_s)
     poles = np.linalg.eigvals(model.a)
 
-The plant of one plane (design/model/held.py) and the loops of several axes (design/loop/multiloop.py) use it. Planar
-equations derived by hand (tests/oracles/planar) are its reference in the tests.
+The plant of one plane (design/model/held.py) and the loops of several axes (design/loop/multiloop.py) use it. The tests
+compare it with planar equations derived by hand (tests/oracles/planar).
 
 The simulator's state vector is on a manifold (unit quaternion, unit vectors of the pendulums) and contains inertial and
-quasi-velocities. It is therefore expressed in local coordinates. All are independent small-signal quantities of flight
-mechanics, and their time derivatives follow exactly from the simulator's:
+quasi-velocities. It is therefore expressed in local coordinates. These are independent small-signal quantities of
+flight mechanics, and their time derivatives follow exactly from those of the simulator:
 
     r_I            position of the core's CG in I, m
     u, v, w        its velocity relative to the Earth, in B, m/s
-    rotation       rotation vector from the reference attitude, which rotates on at its own rate, in B, rad
+    rotation       rotation vector from the reference attitude, which continues to rotate at its own rate, in B, rad
     p, q, r        angular velocity relative to I, in B, rad/s
     actuators, gyros, gyro angles    as in the state
-    eta, eta', xi, xi'               true rates: without the rotation of the bending plane with p
-    spatial, nu                      of spatial modes as in the state: the same where roll rate and modes are at rest
+    eta, eta', xi, xi'               true rates, without the rotation of the bending plane with p
+    spatial, nu                      of spatial modes as in the state; equal to rates if roll rate and modes are at rest
     per tank       angles atan2(u_z, -u_x), atan2(u_y, -u_x) and their rates, rad, rad/s
     actuators of further groups, TVC load      as in the state
 
-Away from equilibrium (an accelerating rocket is never in equilibrium), a linear model depends on its coordinates. These
-are those of the paper. The vehicle's properties are frozen at the instant, but their rates (mass flow, moving CG) act.
-The model is continuous and does not contain the flight computer. Inputs are the commands of each group of engines in
-pitch and yaw.
+An accelerating rocket is never in equilibrium, and away from equilibrium a linear model depends on its coordinates.
+These coordinates are those of the paper. The vehicle's properties are frozen at the instant, but their rates (mass
+flow, moving CG) act. The model is continuous and does not contain the flight computer. Its inputs are the commands of
+each engine group in pitch and yaw.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from maxq.sim.vehicle.workspace import PROPERTIES_SIZE
 
 OUTPUTS = ("delta_pitch_rad", "delta_yaw_rad", "local_rate_pitch_radps", "local_rate_yaw_radps")
 WINDS = ("wind_x_mps", "wind_y_mps", "wind_z_mps")
-"""The last inputs of `differentiate`: velocity of the air in B."""
+"""The last inputs of `differentiate`: the velocity of the air in B."""
 
 _SETTLING_M = 1e-4
 _STEP_R, _STEP_V, _STEP_TURN, _STEP_W = 8.0, 0.5, 4e-3, 1e-2
@@ -58,9 +58,8 @@ _STEP_FLAT, _STEP_BEND, _STEP_BEND_RATE, _STEP_SLOSH, _STEP_COMMAND = 2e-3, 2e-3
 class LinearModel(StateSpace):
     """The linear model x' = rate + A x + B u, y = C x + D u about a state.
 
-    `rate` is the derivative at the state itself.
-
-    Outputs are OUTPUTS, and bending moments about y and z if section loads are switched on.
+    `rate` is the derivative at the state itself. The outputs are OUTPUTS, followed by the bending moments about y and z
+    if section loads are switched on.
     """
 
     rate: Array  # (n,)
@@ -69,8 +68,8 @@ class LinearModel(StateSpace):
 def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
     """Return the linear model of the derivative about the state `y` (MAX_STATE,) at the flight time `time_s`.
 
-    `packed` may be at its start or in mid-flight and is not changed. Its stage matters, and whether it burns or is held
-    down. Derivatives are those of `jacobian.differentiate`.
+    `packed` may be at its start or in flight and is not changed. It determines the stage, and whether the stage burns
+    or is held down. The derivatives are those of `jacobian.differentiate`.
     """
     memory = packed.memory.copy()
     if memory[0].clock.started == 0:
@@ -104,11 +103,11 @@ def differentiate(
     levels: int = jacobian.LEVELS,
     properties: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Return the rates and outputs (rows,) at a state, and the derivatives (wanted, columns); see
-    `jacobian.differentiate`.
+    """Return the rates and outputs (rows,) at a state, and their derivatives (wanted, columns).
 
-    `properties` are those of the vehicle at the instant and replace those of its schedule. With states (vehicles,
-    MAX_STATE) and the same number of parameters and properties, results have the vehicles along their first axis.
+    `properties` are those of the vehicle at the instant and replace those of its schedule. For states (vehicles,
+    MAX_STATE) with the same number of parameters and properties, the results have the vehicles along their first axis.
+    See `jacobian.differentiate` for the other arguments.
     """
     sizes = parameters[int(memory[0].clock.stage)].vehicle.sizes
     rows = int(jacobian.coordinate_count(sizes)) + jacobian.OUTPUTS + 2 * stations
@@ -141,13 +140,13 @@ def differentiate(
 
 
 def inputs_of(sizes: Any) -> tuple[str, ...]:
-    """Return the commands of each group of engines."""
+    """Return the names of the commands of each engine group."""
     numbered = ["", *(f"_{group}" for group in range(2, 2 + int(sizes.further_groups)))]
     return tuple(f"command_{axis}{n}_rad" for n in numbered for axis in ("pitch", "yaw"))
 
 
 def coordinates_of(sizes: Any) -> dict[str, float]:
-    """Return the coordinates of a stage, in order, and the first step of the differences in each."""
+    """Return the names of a stage's coordinates, in order, with the first step of the differences in each."""
     pitch, yaw, spatial, tanks = (int(sizes[k]) for k in ("pitch_modes", "yaw_modes", "spatial_modes", "pendulums"))
     flat = layout.state_names(Sizes(0, 0, 0, 0))[layout.ACTUATOR : layout.N_FIXED]
     groups: list[tuple[Sequence[str], float]] = [
@@ -168,11 +167,9 @@ def coordinates_of(sizes: Any) -> dict[str, float]:
 
 
 def at_rest(packed: Packed, time_s: float) -> tuple[Packed, Array]:
-    """Return a packed flight and its state at the present instant, with modes, pendulums and engines at rest and no
-    command.
+    """Return a packed flight and its present state, with modes, pendulums and engines at rest and without commands.
 
-    Position, attitude, velocity and roll rate are kept. The rates in pitch and yaw and the gyros' output of them are
-    zero.
+    Position, attitude, velocity and roll rate are kept. Pitch and yaw rates and the corresponding gyro states are zero.
     """
     memory, out = packed.memory.copy(), np.zeros(layout.MAX_STATE)
     memory[0].held.command_rad[:] = 0.0
@@ -187,9 +184,9 @@ def at_rest(packed: Packed, time_s: float) -> tuple[Packed, Array]:
 
 
 def settled(packed: Packed, y: Array, time_s: float) -> Array:
-    """Return the state with its spatial modes deflected by the loads of the instant: thrust compresses axial parts.
+    """Return the state with its spatial modes deflected by the present loads, such as the compression by thrust.
 
-    About undeflected modes that spring back, the pull of the liquid along the axis would differ.
+    With undeflected modes, the rebound would change the pull of the liquid along the axis.
     """
     sizes = packed.parameters[int(packed.memory[0].clock.stage)].vehicle.sizes
     n, first = int(sizes.spatial_modes), int(layout.spatial_index(sizes))

@@ -52,26 +52,30 @@ class Node(OperatingPoint):
     """An operating point of a flight: vehicle, air and instruments of one plane at a vehicle time."""
 
     held: HeldStage
-    allocation: tuple[tuple[float, float], ...] = ((1.0, 0.0),)  # angles per command of each group, own and other plane
-    surface_radius_m: tuple[float, ...] = ()  # of the liquid under each pendulum, nan if unknown; nominal vehicle
-    stage_start_s: float = 0.0  # zero of that stage's clock on the vehicle clock
-    trim: Trim = (0.0, 0.0)  # angles of attack and sideslip at which tables over angle of attack have their slopes, rad
+    allocation: tuple[tuple[float, float], ...] = (
+        (1.0, 0.0),
+    )  # angles of each engine group per command, in the plane and in the other
+    surface_radius_m: tuple[float, ...] = ()  # liquid surface in the tank of each pendulum; nan if unknown
+    stage_start_s: float = 0.0  # start of the stage's clock on the vehicle clock
+    trim: Trim = (
+        0.0,
+        0.0,
+    )  # angles of attack and sideslip (rad) at which tables over angle of attack are differentiated
 
     def plant_in_wind(self, wind: bool = True) -> StateSpace:
-        """Return the linear model of the plane, from the motion of the actuators and the wind to the rates of body,
-        modes and pendulums (`plant` without the wind).
+        """Return the linear model of the plane, from actuator motion and wind to rates and measurements.
 
-        The model is the Jacobian of the simulator's derivative (held.py). The states are w (m/s, of the body point at
-        the core's CG), q (rad/s), theta (rad), eta (m) and eta' (m/s; the spatial modes first). Slosh angles (rad) and
-        their rates follow, then angle and rate of each engine on a TVC load. The other plane, roll and the speed along
-        the axis are held. The inputs are, for each drive, the angle of an actuator and those derivatives that engines
-        feel. The outputs are `held.OUTPUTS`, the measurements of the vehicle's other sensors, and the bending moment at
-        each station of section loads that are switched on, N m. The yaw plane has the states and signs of the pitch
-        plane turned about x.
+        The model is the Jacobian of the simulator's derivative (held.py). `plant` is the same model without wind. The
+        states are w (m/s, at the body point of the core's CG), q (rad/s), theta (rad), eta (m) and eta' (m/s), spatial
+        modes first. Slosh angles (rad) and rates follow, then angle and rate of each engine on a TVC load. The other
+        plane, roll and the axial speed are held.
 
-        The last input is the lateral velocity of the air in the plane, m/s.
+        The inputs are, for each drive, the actuator angle and the derivatives of it that act on engines. The last input
+        is the lateral velocity of the air in the plane, m/s. The outputs are `held.OUTPUTS`, the measurements of
+        further sensors, and the bending moment (N m) at each station of active section loads. The yaw plane has the
+        states and signs of the pitch plane rotated about x.
 
-        Raises ValueError if no such system exists. The message names the operating point.
+        Raises ValueError, with the operating point, if no such system exists.
         """
         self.check_axial_load()
         *parts, names = self.held.plants(
@@ -81,14 +85,14 @@ class Node(OperatingPoint):
         return StateSpace(a, b, c, d, *names)
 
     def check_axial_load(self) -> None:
-        """Raise ValueError, naming the operating point, if pendulums do not hang under a positive axial load."""
+        """Raise ValueError, with the operating point, if a vehicle with pendulums has no positive axial load."""
         if len(self.vehicle.pendulums.mass_kg) and self.axial_load_mps2 <= 0.0:
             problem = f"a pendulum needs a positive axial load, not {self.axial_load_mps2:g} m/s2"
             raise ValueError(f"operating point at {self.time_s:g} s: {problem}")
 
     @property
     def drives(self) -> Drives:
-        """Return the actuators that the law's command moves, for each of the instruments' drives."""
+        """Return the actuators that the law's command moves, for each drive of the instruments."""
         own = 0 if self.plane == "pitch" else 1
         return [
             [
@@ -112,7 +116,7 @@ class Node(OperatingPoint):
 
     @cached_property
     def derivatives(self) -> StabilityDerivatives:
-        """Return the derivatives of the rigid vehicle with its liquid frozen. Raises ValueError at rest."""
+        """Return the derivatives of the rigid vehicle with frozen liquid. Raises ValueError for zero airspeed."""
         return stability_derivatives(self.held, self.condition, self.trim, self.plane, self.drives)
 
     @property
@@ -125,7 +129,7 @@ class Node(OperatingPoint):
 
     @property
     def gains(self) -> tuple[float, ...]:
-        """Return the largest angle of a group per command of the law, of each drive."""
+        """Return the largest angle of an engine group per command of the law, for each drive."""
         moved = self.held.groups_that_follow(self.plane)
         return tuple(
             max((abs(self.allocation[group][0]) for group in groups if group in moved), default=0.0)
@@ -134,9 +138,7 @@ class Node(OperatingPoint):
 
     @property
     def angle_limit_rad(self) -> float:
-        """Return the command of the law at which the first actuator reaches its angle limit, or infinity for ideal
-        actuators.
-        """
+        """Return the command at which the first actuator reaches its angle limit, or infinity for ideal actuators."""
         limits = zip(self.actuators, self.gains, strict=True)
         return min((a.angle_limit_rad / gain for a, gain in limits if gain > 0.0 and not a.ideal), default=math.inf)
 
@@ -144,10 +146,10 @@ class Node(OperatingPoint):
         return self.vehicle.total_mass_kg if over == "mass_kg" else super().scheduled(over)
 
     def steps(self) -> list[tuple[str, OperatingPoint]]:
-        """Return the vehicle built up: rigid body, air, slosh, engine inertia, bending.
+        """Return the build-up of the vehicle: rigid body, aerodynamics, slosh, engine inertia, bending.
 
-        Without slosh, the liquid is frozen at its bobs. Without aerodynamics, the axial force remains, since it sets
-        the axial load on liquid and engine. Without engine inertia, the gimbal moves a massless engine.
+        Without slosh, the liquid is frozen at its bobs. Without aerodynamics, the axial force remains, since it
+        determines the axial load on liquid and engine. Without engine inertia, the gimbal moves a massless engine.
         """
         stiff = without_bending(self.held)
         light = without_engine_inertia(stiff)
@@ -157,7 +159,7 @@ class Node(OperatingPoint):
         return list(zip(BUILD_UP, built, strict=True))
 
     def with_(self, **deviations: Any) -> Node:
-        """Return the operating point with deviations, by the fields of `dispersion.Dispersion`."""
+        """Return the operating point with deviations, given as fields of `dispersion.Dispersion`."""
         return disperse(self, Dispersion(**deviations))
 
 
@@ -168,13 +170,13 @@ def nodes_along(
     faults: bool = False,
     refine: Callable[[FlightRun, Node], Node] = lambda run, node: node,
 ) -> list[Node]:
-    """Return operating points at vehicle times (s) of a flight of the scenario, flown once and without a log.
+    """Return operating points at vehicle times (s) of one flight of the scenario, in the order of `times_s`.
 
     Speed, air and attitude are those flown, at the integrator's step nearest to each time. Angle of attack and rotation
-    are zero, with two exceptions. A vehicle with tables over angle of attack has the flown angles, and ring baffles
-    have their damping in the flown swing (`with_swings`). The scenario's failures are included only with `faults`. The
-    points are in the order of `times_s`. Raises ValueError for a time outside the powered flight. The message names the
-    point and the range.
+    are zero, with two exceptions. A vehicle with tables over angle of attack has the flown angles, and the damping of
+    ring baffles is that of the flown swing (`with_swings`). Failures of the scenario are included only if `faults` is
+    True. `refine` may change each operating point while the flight is at its time. Raises ValueError, with the
+    operating point and the allowed range, for a time outside the powered flight.
     """
     wanted = [float(t) for t in times_s]
     if not wanted:
@@ -188,10 +190,9 @@ def nodes_along(
 
 
 def with_cuts(nodes: Sequence[Node], scenario: LoadedScenario) -> list[Node]:
-    """Return operating points whose vehicles have the bending moments at the stations of their section loads among
-    their outputs.
+    """Return operating points with the bending moments at the stations of section loads as further outputs.
 
-    The flight itself needs no section loads: its tables are packed once more with them.
+    The flight itself needs no section loads, since its tables are packed again with them.
     """
     given = scenario.scenario
     on = given.model_copy(update={"switches": given.switches.model_copy(update={"section_loads": True})})
@@ -204,15 +205,15 @@ def with_cuts(nodes: Sequence[Node], scenario: LoadedScenario) -> list[Node]:
     return out
 
 
-SWING_PERIODS = 3.0  # of a pendulum, about an operating point, over which its swing is averaged
+SWING_PERIODS = 3.0  # periods of a pendulum about an operating point, over which its swing is averaged
 _SWING_LOG = LogSection(fast_hz=200.0, slow_hz=1.0, transform_hz=1.0)
 
 
 def with_swings(nodes: Sequence[Node], scenario: LoadedScenario, faults: bool = False) -> list[Node]:
-    """Return operating points whose ring baffles have their damping in a flight of the scenario, over `SWING_PERIODS`
-    about each (`swing_rad`).
+    """Return operating points with the damping of ring baffles in a flight of the scenario (`swing_rad`).
 
-    Only vehicles with rings are flown. The swing is that of both planes together.
+    The flight is simulated only for vehicles with ring baffles. The swing combines both planes and is averaged over
+    `SWING_PERIODS` about each operating point.
     """
     if not any(node.vehicle.pendulums.ring.any() for node in nodes):
         return list(nodes)
@@ -238,20 +239,22 @@ def swing_window_s(node: Node) -> Array:
 
 
 def swing_rates_radps(run: FlightRun, rows: Array) -> Array:
-    """Return the angular rate of each pendulum in the body, both planes together, (rows, pendulums) of fast rows."""
+    """Return the angular rate of each pendulum relative to the body, in both planes combined, (rows, pendulums).
+
+    `rows` are the fast rows of the log.
+    """
     pitch, yaw = (rows[:, slosh_columns(run, plane, "rate_degps")] for plane in ("pitch", "yaw"))
     return np.radians(np.hypot(pitch, yaw))
 
 
 def slosh_columns(run: FlightRun, plane: str, what: str = "deg") -> list[int]:
-    """Return the columns of a flight's fast rows that contain the swing of each tank's pendulum, deg, or its rate."""
+    """Return the columns of a flight's fast rows with the swing of each pendulum in a plane, or with its rate."""
     names = [c.name for c in run.table.columns(FAST)]
     return [n for n, name in enumerate(names) if name.startswith("slosh") and name.endswith(f"{plane}_{what}")]
 
 
 def equivalent_swing(rate_radps: Array, omega_radps: float) -> float:
-    """Return the amplitude (rad) of a plane swing at a frequency in which the rings have the same damping as in a
-    motion.
+    """Return the amplitude (rad) of a planar swing in which ring baffles have the same damping as in a given motion.
 
     The linear damper with the same dissipation is proportional to mean(v^(5/2)) / mean(v^2) (docs/model.md, 5.9).
     """
@@ -261,10 +264,7 @@ def equivalent_swing(rate_radps: Array, omega_radps: float) -> float:
 
 
 def disperse(node: Node, by: Dispersion) -> Node:
-    """Return the operating point with the deviations applied (`Node.with_`: by keywords).
-
-    Raises ValueError for too many factors.
-    """
+    """Return the operating point with deviations applied. Raises ValueError for too many factors."""
     if by == NOMINAL:
         return node
     label = f"{node.label} {by.label}".strip() if by.label else node.label
@@ -279,8 +279,9 @@ def disperse(node: Node, by: Dispersion) -> Node:
 
 
 def with_drives_apart(node: Node) -> Node:
-    """Return the operating point with a separate drive for each group of engines that moves in its plane, even if their
-    actuators are equal.
+    """Return the operating point with a separate drive for each engine group that moves in its plane.
+
+    Groups are separated even if their actuators are equal.
     """
     kept = node.instruments
     moved = sorted(group for group in node.held.groups_that_follow(node.plane) if any(node.allocation[group]))
@@ -292,7 +293,7 @@ def with_drives_apart(node: Node) -> Node:
 
 
 def at_swing(node: Node, swing_rad: Array) -> Node:
-    """Return the operating point with its pendulums' `swing_rad`, in both planes."""
+    """Return the operating point with pendulums that swing with `swing_rad` (pendulums,) in both planes."""
     return dataclasses.replace(node, held=dataclasses.replace(node.held, swing_rad=swing_rad))
 
 
@@ -308,11 +309,10 @@ def _node(run: FlightRun, time_s: float, plane: Plane) -> Node:
 
 
 def at_same_propellant_s(run: FlightRun, flown: Scenario, node: Node) -> float:
-    """Return the vehicle time at which a flight has burnt the same propellant as the flight of an operating point
-    (`flown`) has at that point.
+    """Return the vehicle time at which a flight has burnt the same propellant as another flight at its operating point.
 
-    The burn rates and the throttling of the engines may differ. Raises ValueError if the flight never burns this
-    amount.
+    `flown` is the scenario of the operating point. Burn rates and throttling may differ between the flights. Raises
+    ValueError if the flight never burns this amount.
     """
     n, scenario = node.stage, run.loaded.scenario
     mine, other = (stage_burns(each.vehicle.stage, each.fault)[n] for each in (scenario, flown))
@@ -326,23 +326,23 @@ def at_same_propellant_s(run: FlightRun, flown: Scenario, node: Node) -> float:
 
 
 def flown_point(point: OperatingPoint) -> Node:
-    """Return an operating point that has a vehicle. Raises ValueError for one that is given (given.py)."""
+    """Return an operating point with a vehicle. Raises ValueError for an operating point without one (given.py)."""
     if not isinstance(point, Node):
         raise ValueError(f"node at {point.time_s:g} s: it has no vehicle: allowed is an operating point of a flight")
     return point
 
 
 def met_by(node: Node, met: Node) -> Node:
-    """Return an operating point with its own vehicle in the air, at the speed and in the attitude of `met`.
+    """Return an operating point with its own vehicle, in the air and at the speed and attitude of `met`.
 
-    The damping of rings remains that of the operating point. It is lower in the calm air of a design's own flight than
-    in the winds of others.
+    The damping of ring baffles remains that of the operating point. It is lower in the calm air of a design's own
+    flight than in the winds of other flights.
     """
     return dataclasses.replace(node, condition=dataclasses.replace(met.condition, time_s=node.time_s), trim=met.trim)
 
 
 def surface_radii_m(stage: Stage, clock_s: float) -> tuple[float, ...]:
-    """Return the radius of the surface at rest in the tank of each pendulum, or NaN if the file does not state it."""
+    """Return the radius of the liquid surface at rest for each pendulum, or NaN if the file does not state it."""
     out: list[float] = []
     for body, _, tank in stage.tanks:
         radius = math.nan if tank.radius_m is None else tank.radius_m
@@ -364,7 +364,9 @@ def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch
     pitch = math.asin(max(-1.0, min(1.0, float(-forward @ gravitation) / gravity))) if gravity > 0.0 else 0.0
     u, v, w = (float(x) for x in air.flow_B_mps)
     row, trim = packed.parameters[stage], (math.atan2(w, u), math.atan2(v, math.hypot(u, w)))
-    flies = air.airspeed_mps >= row.vehicle.aero.airspeed_floor_mps  # below it, only the pressure of the air acts
+    flies = (
+        air.airspeed_mps >= row.vehicle.aero.airspeed_floor_mps
+    )  # below this airspeed, only the pressure of the air acts
     carried = ground_velocity(row.environment.earth, *packed.state[R_I : R_I + 2])
     condition = FlightCondition(
         time_s=time_s,

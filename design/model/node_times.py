@@ -1,11 +1,10 @@
-"""Times of operating points that suit a flight: under full thrust, and in a long tail-off while the gimbals have
-authority.
+"""Times of operating points that suit a flight: under full thrust, and in a long tail-off with control authority.
 
 At an instant of a tail-off, the gimbals have authority under three conditions:
 
-- the thrust of the gimballed engines is at least `LEAST_SHARE` of its largest value;
-- the axial load is positive;
-- the gimbals trim `TRIMMED_DEG` of angle of attack (`trims`).
+- The thrust of the gimballed engines is at least `LEAST_SHARE` of its largest value.
+- The axial load is positive.
+- The gimbals trim `TRIMMED_DEG` of angle of attack (`trims`).
 """
 
 from __future__ import annotations
@@ -24,26 +23,26 @@ from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.engine.burn import Burn, stage_burns, when_spent_s
 
 NODES_PER_STAGE = 11
-FULL = 0.5  # share of a stage's largest thrust at the ends of full thrust
-EDGES = 0.05, 0.02  # shares of a span at its ends without operating points
-JOINT = 0.002  # likewise at a separation (of boosters, of a fairing) through which the stage burns on, at most
-LONG_TAIL_S = 1.0  # a tail-off of this duration and more has operating points
-LEAST_SHARE = 0.1  # of the largest thrust, at the last of them
+FULL = 0.5  # fraction of a stage's largest thrust at the ends of full thrust
+EDGES = 0.05, 0.02  # fractions of a span at its ends without operating points
+JOINT = 0.002  # largest such fraction at a separation (boosters, fairing) through which the stage continues to burn
+LONG_TAIL_S = 1.0  # shortest tail-off with operating points
+LEAST_SHARE = 0.1  # fraction of the largest thrust at the last operating point of a tail-off
 TAIL_POINTS = 3  # operating points under full thrust for each one in the tail-off
-TRIMMED_DEG = 5.0  # angle of attack to be trimmed there
+TRIMMED_DEG = 5.0  # angle of attack that the gimbals must trim in a tail-off
 ENDS = ("apogee", "impact")  # events after which a flight is not examined
 
 
 def node_times(
     scenario: LoadedScenario, count: int = NODES_PER_STAGE, stage: int | None = None, edges: tuple[float, float] = EDGES
 ) -> tuple[float, ...]:
-    """Return times of operating points that suit a flight: `count` in each stage (or one of them), evenly spaced under
-    full thrust, and those of `tail_off_times`.
+    """Return times of operating points that suit a flight.
 
-    A single point is in the middle. The first and the last one are at the distance `edges` from the ends of full
-    thrust, as shares of its duration. They are closer, `JOINT`, to a separation through which the stage burns on.
-
-    Stages with fixed engines have none. Raises ValueError if no stage remains.
+    There are `count` points in each stage under full thrust, and further points in a long tail-off. `stage` restricts
+    the times to one stage. Under full thrust they are evenly spaced, and a single point is in the middle. `edges` are
+    the distances of the first and last point from the ends of full thrust, relative to its duration. They are at most
+    `JOINT` at a separation through which the stage continues to burn. See `tail_off_times` for the tail-off. Stages
+    with fixed engines are omitted. Raises ValueError if no stage remains.
     """
     times, tails = list[float](), dict[int, list[float]]()
     stages = scenario.vehicle.stage
@@ -70,9 +69,9 @@ def node_times(
 
 
 def full_thrust(stage: Stage, burn: Burn) -> tuple[float, float]:
-    """Return the first and last instant on the vehicle clock at which the thrust by the tables is half the largest.
+    """Return the first and last vehicle time (s) at which the tabulated thrust is at least half of its largest value.
 
-    The rows of the tables are examined (`_gimballed_thrust`).
+    Only the rows of the tables are examined (`_gimballed_thrust`).
     """
     times, thrust = _gimballed_thrust(stage)
     if len(times) == 1:
@@ -82,11 +81,11 @@ def full_thrust(stage: Stage, burn: Burn) -> tuple[float, float]:
 
 
 def tail_off_times(stage: Stage, burn: Burn, end_s: float, count: int) -> list[float]:
-    """Return the times of operating points in a tail-off of `LONG_TAIL_S` or more that ends at `end_s`.
+    """Return the vehicle times (s) of operating points in a tail-off of at least `LONG_TAIL_S` that ends at `end_s`.
 
-    There is one for each `TAIL_POINTS` of `count`, rounded up. The thrust falls by the same factor from half of the
-    largest to the first point, and from each point to the next. It is `LEAST_SHARE` of the largest at the last point.
-    Times are vehicle times, s.
+    There is one point for each `TAIL_POINTS` of `count`, rounded up. The thrust decreases by the same factor from half
+    of the largest to the first point, and from each point to the next. It is `LEAST_SHARE` of the largest at the last
+    point.
     """
     full_end_s = full_thrust(stage, burn)[1]
     if not end_s - full_end_s >= LONG_TAIL_S:
@@ -104,7 +103,7 @@ def tail_off_times(stage: Stage, burn: Burn, end_s: float, count: int) -> list[f
 
 
 def with_authority(scenario: LoadedScenario, times_s: Mapping[int, Sequence[float]]) -> list[float]:
-    """Return the times, by stage from 0, of each stage up to the first one at which its gimbals lack authority.
+    """Return those of the given times, by stage from 0, that precede the loss of control authority in their stage.
 
     The flight has no faults.
     """
@@ -128,17 +127,14 @@ def with_authority(scenario: LoadedScenario, times_s: Mapping[int, Sequence[floa
 def trims(node: Node) -> bool:
     """Return True if the gimbals trim `TRIMMED_DEG` of angle of attack.
 
-    In trim, the moment of the deflected engines balances that of the angle of attack, M_delta delta = -M_alpha alpha.
+    In trim, the moment of the deflected engines balances the aerodynamic moment, M_delta delta = -M_alpha alpha.
     """
     d = node.derivatives
     return abs(d.m_delta_1ps2) * node.angle_limit_rad >= d.m_alpha_1ps2 * math.radians(TRIMMED_DEG)
 
 
 def flies_to(run: FlightRun, time_s: float) -> bool:
-    """Continue the flight to the step nearest to a time.
-
-    Return False if the flight, or its examined part, has ended.
-    """
+    """Continue the flight to the step nearest to a time. Return False if the flight or its examined part has ended."""
     step_ns = int(run.packed.parameters[0].timeline.step_ns)
     at_ns = round(time_s * 1e9 / step_ns) * step_ns
     while not run.finished and round(run.now_s * 1e9) < at_ns:
@@ -148,7 +144,7 @@ def flies_to(run: FlightRun, time_s: float) -> bool:
 
 
 def thrust_share(stage: Stage, burn: Burn, time_s: float) -> float:
-    """Return the thrust of the gimballed engines at a vehicle time, as a share of its largest value."""
+    """Return the thrust of the gimballed engines at a vehicle time, relative to its largest value."""
     times, thrust = _gimballed_thrust(stage)
     if len(times) == 1:
         return 1.0
@@ -157,10 +153,10 @@ def thrust_share(stage: Stage, burn: Burn, time_s: float) -> float:
 
 
 def _gimballed_thrust(stage: Stage) -> tuple[Array, Array]:
-    """Return times, on the clock of the tables, and the thrust in vacuum of the gimballed engines there.
+    """Return times on the table clock, and the vacuum thrust of the gimballed engines at these times.
 
-    Gimballed engines of boosters count if the core has none, since boosters have burned out before they leave. There
-    is a single time if a table has one row, a constant thrust.
+    Gimballed engines of boosters count only if the core has none, since boosters burn out before they separate. A table
+    with one row is a constant thrust and gives a single time.
     """
     moved = [engine for engine in stage.own_engines if engine.gimbal != "fixed"]
     tables = [engine.table for engine in moved or [e for e in stage.engines if e.gimbal != "fixed"] or stage.engines]

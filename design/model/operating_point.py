@@ -3,10 +3,10 @@
 | class | plant |
 |---|---|
 | `node.Node` | a vehicle of maxq at an instant of its flight: the Jacobian of the simulator's derivative |
-| `paper.nodes.PaperNode` | the same by the published planar equations |
-| `given.GivenPoint` | published derivatives over time, or the matrices A, B, C, D: no vehicle, no flight |
+| `paper.nodes.PaperNode` | the same vehicle with the published planar equations |
+| `given.GivenPoint` | published derivatives over time, or the matrices A, B, C, D, without vehicle and flight |
 
-A loop (design/loop) uses nothing else of an operating point.
+A loop (design/loop) uses only this interface.
 """
 
 from __future__ import annotations
@@ -27,32 +27,32 @@ from maxq.design.model.vehicle_at import StabilityDerivatives
 from maxq.sim.vehicle.actuator.kernel import Actuator
 
 BUILD_UP = ("rigid body", "aerodynamics", "slosh", "engine inertia", "bending")
-"""The steps in which the vehicle is built up."""
+"""The steps of the vehicle's build-up."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class OperatingPoint(abc.ABC):
-    """The air and the instruments of one plane at a vehicle time, and the plant between them."""
+    """The air, the instruments and the plant of one plane at a vehicle time."""
 
     time_s: float
     condition: FlightCondition
     instruments: Instruments
     plane: Plane = "pitch"
     label: str = ""
-    stage: int = 0  # stage that burns, from 0
+    stage: int = 0  # index of the burning stage, from 0
     speed_mps: float = math.nan  # relative to the rotating Earth
 
     @cached_property
     def plant(self) -> StateSpace:
-        """Return the linear model from the motion of the actuators to the measurements, without the wind."""
+        """Return the linear model from actuator motion to measurements, without wind."""
         return self.plant_in_wind(wind=False)
 
     @abc.abstractmethod
     def plant_in_wind(self, wind: bool = True) -> StateSpace:
-        """Return `plant` with the lateral velocity of the air in the plane, m/s, as its last input.
+        """Return the plant, by default with the lateral velocity of the air in the plane, m/s, as its last input.
 
-        The inputs before it are, for each drive, the angle of an actuator and those derivatives that engines feel
-        (`instruments.DERIVATIVES`). The outputs include `held.OUTPUTS` and the measurements of the further sensors.
+        The other inputs are, for each drive, the actuator angle and the derivatives of it that act on engines
+        (`instruments.DERIVATIVES`). The outputs include `held.OUTPUTS` and the measurements of further sensors.
         """
 
     @property
@@ -61,14 +61,14 @@ class OperatingPoint(abc.ABC):
         """Return the axial specific force of the whole vehicle, (thrust - drag) / mass."""
 
     def held_still(self) -> Self:
-        """Return the operating point with the axial load as gravity: the vehicle does not accelerate along its axis."""
+        """Return the operating point with the axial load as gravity, so that the vehicle has no axial acceleration."""
         still = dataclasses.replace(self.condition, pitch_rad=0.5 * math.pi, gravity_mps2=self.axial_load_mps2)
         return self if still == self.condition else dataclasses.replace(self, condition=still)
 
     @property
     @abc.abstractmethod
     def derivatives(self) -> StabilityDerivatives:
-        """Return the derivatives of the rigid vehicle with its liquid frozen. Raises ValueError at rest."""
+        """Return the derivatives of the rigid vehicle with frozen liquid. Raises ValueError for zero airspeed."""
 
     @property
     @abc.abstractmethod
@@ -77,13 +77,14 @@ class OperatingPoint(abc.ABC):
 
     @property
     def cut_stations_m(self) -> tuple[float, ...]:
-        """Return the stations at which the plant has the bending moment as an output, m aft of the nose."""
+        """Return the stations at which the plant has a bending moment as an output, m aft of the nose."""
         return ()
 
     @abc.abstractmethod
     def steps(self) -> list[tuple[str, OperatingPoint]]:
-        """Return models of the operating point, named by the effect that each has and the one before has not
-        (`BUILD_UP`). The last one is the operating point.
+        """Return models of the operating point with an increasing number of effects, each named by its added effect.
+
+        The names are those of `BUILD_UP`. The last model is the operating point itself.
         """
 
     @property
@@ -97,9 +98,9 @@ class OperatingPoint(abc.ABC):
         return self.actuators[0]
 
     def scheduled(self, over: Over) -> float:
-        """Return the quantity over which gains are scheduled, with the flight computer's value at this instant.
+        """Return the flight computer's value of a scheduling quantity at this instant.
 
-        Raises ValueError for an operating point that does not have it.
+        Raises ValueError for an operating point that does not have this quantity.
         """
         if over == "time_s":
             return self.time_s

@@ -1,4 +1,4 @@
-"""Flights that give operating points: their powered spans, their loss, and the flight up to the points."""
+"""Flights that provide operating points: their powered spans, their loss, and the flight up to an operating point."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from maxq.sim.scenario.loader import LoadedScenario
 
 @dataclass(frozen=True)
 class Span:
-    """A part of the flight, s on the vehicle clock, in which a stage is under thrust and off the pad."""
+    """A part of the flight (s on the vehicle clock) in which a stage is under thrust and off the pad."""
 
     stage: int  # from 0
     begin_s: float
@@ -29,23 +29,24 @@ class Span:
 
 
 LOSSES = (CONTROL_LOST_NAME, EVENT_NAMES[TUMBLE], DIVERGED_NAME)
-"""The events from which on a flight gives no operating points."""
+"""The events after which a flight provides no operating points."""
 
 
 def loss_of(events: Iterable[Event]) -> Event | None:
-    """Return the first event by which a flight is lost (control lost, a tumble or divergence), or None."""
+    """Return the first event that ends a flight as lost (control lost, tumble or divergence), or None."""
     return min((e for e in events if e.name in LOSSES), key=lambda e: e.time_ns, default=None)
 
 
 def loss_text(loss: Event) -> str:
-    """Return a loss and its time as text: "control lost at 23.140 s"."""
+    """Return a loss and its time as text, such as "control lost at 23.140 s"."""
     return f"{loss.name.replace('_', ' ')} at {loss.time_s:.3f} s"
 
 
 def powered_flight(scenario: LoadedScenario, faults: bool = False) -> tuple[tuple[Span, ...], Event | None]:
-    """Fly without a log up to the last burnout, or to the loss. Return the powered span of each stage and the loss.
+    """Return the powered span of each stage and the loss, from a flight up to the last burnout or the loss.
 
-    The latest results are cached, since callers request spans, times and loss of one flight in turn.
+    The flight is simulated without a log. The latest results are cached, since callers request spans, times and loss of
+    one flight in turn.
     """
     for known, with_faults, found in tuple(_LATEST):
         if known is scenario and with_faults == faults:
@@ -66,7 +67,7 @@ def _powered_flight(scenario: LoadedScenario, faults: bool) -> tuple[tuple[Span,
         loss = loss_of(run.events)
     burnout_ns = int(run.memory.clock.stage_burnout_ns[last])
     if loss is not None and 0 <= burnout_ns < loss.time_ns:
-        loss = None  # of the coast that follows
+        loss = None  # the loss belongs to the coast after burnout
     return spans_of(run.events, len(run.packed.parameters), run.now_s), loss
 
 
@@ -79,7 +80,7 @@ def powered_spans(scenario: LoadedScenario) -> tuple[Span, ...]:
 
 
 def spans_of(events: Iterable[Event], stages: int, now_s: float) -> tuple[Span, ...]:
-    """Return the powered spans up to `now_s` by the events of a flight of this number of stages.
+    """Return the powered spans up to `now_s`, derived from the events of a flight with `stages` stages.
 
     No span contains a time after the loss of the flight.
     """
@@ -93,15 +94,16 @@ def spans_of(events: Iterable[Event], stages: int, now_s: float) -> tuple[Span, 
         begin_s = next((e.time_s for e in mine if e.name == IGNITION_NAME), end_s if burns_on else math.inf)
         end_s = min([now_s, *(e.time_s for e in mine if e.name in ("burnout", "separation", CUTOFF_NAME))])
         ended = any(e.name in ("burnout", CUTOFF_NAME) for e in mine)
-        burns_on = math.isfinite(begin_s) and not ended  # the stage after it continues
+        burns_on = math.isfinite(begin_s) and not ended  # the next stage continues the burn
         if max(begin_s, lift_off_s) < end_s:
             out.append(Span(n, max(begin_s, lift_off_s), end_s))
     return tuple(out)
 
 
 def flown_run(scenario: LoadedScenario, faults: bool, log: bool = False) -> FlightRun:
-    """Return a flight at its start, by default without a log, on the grid of run.step_s, which contains the operating
-    points.
+    """Return a flight at its start, by default without a log.
+
+    The grid is that of run.step_s, which contains the operating points. `faults` of False removes the failures.
     """
     run = scenario.scenario.run.model_copy(update={"accuracy": None})
     flown = scenario.scenario.model_copy(update={"run": run} | ({} if faults else {"fault": ()}))
@@ -109,9 +111,9 @@ def flown_run(scenario: LoadedScenario, faults: bool, log: bool = False) -> Flig
 
 
 def flown_to(run: FlightRun, time_s: float) -> int:
-    """Continue the flight to the integrator's step nearest to a vehicle time, in ns.
+    """Continue the flight to the integrator's step nearest to a vehicle time, and return the time of that step in ns.
 
-    Raises ValueError if no engine burns, and after the loss of the flight.
+    Raises ValueError if no engine burns at that time, and after the loss of the flight.
     """
     step_ns = int(run.packed.parameters[0].timeline.step_ns)
     at_ns = round(time_s * 1e9 / step_ns) * step_ns
@@ -137,7 +139,7 @@ def flown_to(run: FlightRun, time_s: float) -> int:
 
 
 def _allowed(run: FlightRun) -> str:
-    """Return the times under thrust by the stages' timelines, as text for a message."""
+    """Return the times under thrust according to the stage timelines, as text for a message."""
     spans: list[str] = []
     for row in run.packed.parameters:
         begin_ns, end_ns = int(row.timeline.burn_start_ns), int(row.timeline.burnout_ns)

@@ -1,6 +1,6 @@
-"""A short form of a campaign of normal deviations: the three sigma of each deviating quantity, equal for all stages.
+"""A short form of a campaign with normal deviations: the 3-sigma value of each quantity, equal for all stages.
 
-`campaign_of` makes the campaign. Modes, tanks and engines deviate independently, actuators by groups of engines.
+`campaign_of` derives the campaign. Modes, tanks and engines deviate independently, and actuators by engine groups.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
 from maxq.sim.vehicle.actuator.section import ActuatorAxis
 
 RelativeDeviation = Annotated[float, Field(ge=0.0, lt=1.0)]
-"""A relative deviation. A deviation of 1 would reverse the sign of the quantity."""
+"""A relative deviation below 1, so that the quantity keeps its sign."""
 Shares = Annotated[
     Annotated[RelativeDeviation, Tag(TABLE_FORM)] | Annotated[tuple[RelativeDeviation, ...], Tag(LIST_FORM)],
     Discriminator(lambda value: LIST_FORM if isinstance(value, list | tuple) else TABLE_FORM),
 ]
-"""A value for all modes, tanks, engines or groups of engines, or one each, the last for all beyond."""
-_LEAST = 0.05  # of the nominal value
+"""A value for all modes, tanks, engines or engine groups, or one value each. The last value applies to all others."""
+_LEAST = 0.05  # lower bound, relative to nominal
 
 
 class Spread(Section):
-    """The 3-sigma deviations, relative unless a unit is named."""
+    """The 3-sigma deviations, which are relative unless a unit is given."""
 
     where: ClassVar[tuple[str, str]] = ("suite", "margins.three_sigma")
 
@@ -65,7 +65,7 @@ class Spread(Section):
             raise refuse("cannot be combined with campaign, whose draws the deviations are", "no such key", given[0])
 
     def size(self, key: str, number: int) -> float:
-        """Return the three sigma of a deviation. `number` is that of the mode, tank, engine or group, from 0."""
+        """Return the 3-sigma value of a deviation. `number` is the index of the mode, tank, engine or group, from 0."""
         given = getattr(self, key)
         each = given if isinstance(given, tuple) else (given,)
         return float(each[min(max(number, 0), len(each) - 1)]) if each else 0.0
@@ -78,7 +78,7 @@ _ADDED = ("centre_of_pressure_m", "delay_s")
 
 @cached_by_identity
 def campaign_of(spread: Spread, base: LoadedScenario, seed: int = 1) -> LoadedCampaign:
-    """Return the campaign that a `Spread` names, or the one that it describes for all stages of a scenario.
+    """Return the campaign that a `Spread` names, or the campaign that it describes for all stages of a scenario.
 
     Raises ScenarioError for a campaign that cannot be read, and for impossible correlations.
     """
@@ -94,7 +94,7 @@ def campaign_of(spread: Spread, base: LoadedScenario, seed: int = 1) -> LoadedCa
                 of += f" of stage {stage + 1}"
             name = key.removesuffix("_m").removesuffix("_s").replace("_", " ") + of
             nominal = [find_target(base.scenario, target).nominal for target in targets]
-            least = float(np.nan_to_num(np.min(nominal), nan=1.0))  # of columns: of the factor
+            least = float(np.nan_to_num(np.min(nominal), nan=1.0))  # for columns, the nominal factor of 1
             if size == 0.0 or (key not in _ADDED and least <= 0.0):
                 continue
             bounds = {"at_least": _LEAST * least}
@@ -118,7 +118,10 @@ def campaign_of(spread: Spread, base: LoadedScenario, seed: int = 1) -> LoadedCa
 
 
 def _correlated(spread: Spread, names: list[dict[str, str]]) -> tuple[dict[str, Any], ...]:
-    """Return pairs of draws by `names`, of each stage by key. Raises ScenarioError for a pair that no stage has."""
+    """Return the correlated pairs of draws of all stages. `names` maps keys to draws, for each stage.
+
+    Raises ScenarioError for a pair that no stage has.
+    """
     out, (source, at) = list[dict[str, Any]](), spread.where
     for n, pair in enumerate(spread.correlated):
         i, j = pair.of
@@ -132,7 +135,7 @@ def _correlated(spread: Spread, names: list[dict[str, str]]) -> tuple[dict[str, 
 
 
 def _deviations(vehicle: Vehicle, number: int) -> Iterator[tuple[str, int, list[str]]]:
-    """Yield key, number from 0 (-1 for a single quantity) and key paths of each deviating quantity in a stage."""
+    """Yield key, index from 0 (-1 for a single quantity) and key paths of each deviating quantity in a stage."""
     stage, s = vehicle.stage[number], f"vehicle.stage.{number}."
     modes = [
         f"{s}spatial_modes.{{}}.{k}"
@@ -182,19 +185,22 @@ def _of_actuators(stage: Stage, s: str) -> Iterator[tuple[str, int, list[str]]]:
 
 
 def _poles(axis: ActuatorAxis) -> list[int]:
-    """Return the indices of the frequencies of an actuator that belong to poles. Of four, one is that of the zeros."""
+    """Return the indices of an actuator's frequencies that belong to poles.
+
+    One of four frequencies belongs to the zeros.
+    """
     zeros = 2 if axis.exchange_a3_a4 else 3
     return [k for k in range(len(axis.omega_hz)) if k != zeros]
 
 
 def _sample_s(vehicle: Vehicle, key: str) -> float:
-    """Return the longest delay that a computer's key may have: the shortest sample of the stages that read it."""
+    """Return the upper bound of a computer's delay: the shortest sample period of the stages with this key."""
     stages = range(len(vehicle.stage)) if key.startswith("vehicle.computer.") else [int(key.split(".")[2])]
     return min(computer.sample_s for n in stages if (computer := vehicle.computer_of(n)) is not None)
 
 
 def with_actuators_apart(base: LoadedScenario, like: Vehicle | None = None) -> LoadedScenario:
-    """Return the scenario with separate actuators for each of several groups of engines that share one table.
+    """Return the scenario with a separate actuator for each engine group, in stages whose groups share an actuator.
 
     `like` restricts the change to stages in which this vehicle has separate actuators.
     """

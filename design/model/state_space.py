@@ -1,4 +1,4 @@
-"""Linear time-invariant systems with named states, inputs and outputs: connection, reduction, frequency response."""
+"""Linear time-invariant systems with named states, inputs and outputs: connection, reduction and frequency response."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class StateSpace:
             raise ValueError(f"matrices {shapes} do not fit {n} states, {m} inputs and {p} outputs")
 
     def poles(self) -> ComplexArray:
-        """Return the eigenvalues, rad/s, in rising order of magnitude."""
+        """Return the eigenvalues of A, rad/s, in rising order of magnitude."""
         values = np.linalg.eigvals(self.a).astype(np.complex128)
         return values[np.argsort(np.abs(values))]
 
@@ -44,13 +44,13 @@ class StateSpace:
         return np.array([self.c @ np.linalg.solve(1j * w * eye - self.a, self.b) + self.d for w in omega])
 
     def channel(self, output: str, source: str, frequencies_hz: ArrayLike) -> ComplexArray:
-        """Return the frequency response (frequencies,) from one input to one output, by name."""
+        """Return the frequency response (frequencies,) from a named input to a named output."""
         i, j = self.outputs.index(output), self.inputs.index(source)
         return np.asarray(self.response(frequencies_hz)[:, i, j])
 
 
 def series(first: StateSpace, second: StateSpace) -> StateSpace:
-    """Return `second` driven by all outputs of `first`. Both are continuous, or sampled at the same period."""
+    """Return `second` driven by all outputs of `first`. Both are continuous, or sampled with the same period."""
     n, m = len(first.states), len(second.states)
     a = np.zeros((n + m, n + m))
     a[:n, :n], a[n:, n:] = first.a, second.a
@@ -67,15 +67,15 @@ def series(first: StateSpace, second: StateSpace) -> StateSpace:
 
 
 def chain(*systems: StateSpace) -> StateSpace:
-    """Return the systems in series, the first one first."""
+    """Return the systems connected in series, in the order of the arguments."""
     return reduce(series, systems)
 
 
 def zeros_and_poles(system: StateSpace) -> tuple[ComplexArray, ComplexArray]:
     """Return the zeros and poles of a system with one input and one output.
 
-    The zeros are generalised eigenvalues of its matrix (Emami-Naeini & Van Dooren, Automatica 18(4), 1982), and the
-    poles eigenvalues of A.
+    The zeros are generalised eigenvalues of the system matrix (Emami-Naeini & Van Dooren, Automatica 18(4), 1982), and
+    the poles are eigenvalues of A.
     """
     a, (scale, _) = scipy.linalg.matrix_balance(system.a, permute=False, separate=True)
     b, c, n = system.b[:, 0] / scale, system.c[0] * scale, len(system.a)
@@ -92,8 +92,8 @@ def zeros_and_poles(system: StateSpace) -> tuple[ComplexArray, ComplexArray]:
 def channels(system: StateSpace, outputs: tuple[str, ...], inputs: tuple[str, ...] | None = None) -> StateSpace:
     """Return the system with some of its outputs and inputs, reduced to the states on a path between them.
 
-    Structurally uncontrollable and unobservable states are removed. In vacuum, the lateral drift does not act on the
-    rotation, and its poles at zero do not belong to the loop.
+    Structurally uncontrollable and unobservable states are removed. In vacuum, for example, lateral drift does not
+    affect the rotation, and its poles at zero do not belong to the loop.
     """
     i = [system.outputs.index(name) for name in outputs]
     j = [system.inputs.index(name) for name in (system.inputs if inputs is None else inputs)]
@@ -113,7 +113,7 @@ def channels(system: StateSpace, outputs: tuple[str, ...], inputs: tuple[str, ..
 
 
 def _connected(entries: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Return the states (bool) that are reachable from `start`. Entry [i, k] is True if k acts on i."""
+    """Return True for the states that are reachable from `start`. `entries[i, k]` is True if state k acts on i."""
     found = start.copy()
     for _ in range(len(start)):
         grown = found | (entries & found).any(axis=1)
@@ -123,14 +123,14 @@ def _connected(entries: np.ndarray, start: np.ndarray) -> np.ndarray:
     return found
 
 
-_WORST_BASIS = 1e7  # condition number beyond which partial fractions lose half the digits: nearly equal poles
+_WORST_BASIS = 1e7  # condition number above which partial fractions lose half the digits, as for nearly equal poles
 
 
 class Resolvent:
-    """The function C (s - A)^-1 B at many points s at once, exact at the sharpest resonance.
+    """The function C (s - A)^-1 B for arrays of s, accurate even at the sharpest resonance.
 
     Partial fractions are used if A has a well-conditioned basis of eigenvectors. Otherwise a linear system is solved at
-    each point. `poles` are A's eigenvalues, (n,). A call with s (any shape) returns (*s.shape, outputs, inputs).
+    each point. `poles` are the eigenvalues of A, (n,). A call with s of any shape returns (*s.shape, outputs, inputs).
     """
 
     def __init__(self, a: Array, b: Array, c: Array) -> None:
@@ -149,7 +149,7 @@ class Resolvent:
     def __call__(self, s: ComplexArray) -> ComplexArray:
         flat = np.asarray(s, np.complex128).reshape(-1)
         if self._fractions:
-            # not `@`: for such a thin product the threads of the linear-algebra library cost more than they save
+            # `@` is slower for such a thin product, because the library starts its threads
             out = np.einsum("sp,pk->sk", 1.0 / (flat[:, None] - self.poles), self._residues)
         else:
             a, b, c = self._system

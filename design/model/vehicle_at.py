@@ -1,4 +1,4 @@
-"""The numbers of a held stage: masses, modes, pendulums, derivatives. The module also removes parts from the stage."""
+"""The properties of a held stage (masses, modes, pendulums, derivatives), and stages with parts removed."""
 
 from __future__ import annotations
 
@@ -16,23 +16,25 @@ from maxq.sim.vehicle.air import kernel as aero
 
 @dataclass(frozen=True)
 class Pendulums:
-    """The slosh modes, tank by tank: arrays of one entry each, (pendulums,)."""
+    """The slosh modes, tank by tank, as arrays (pendulums,)."""
 
     mass_kg: Array
     length_m: Array
     hinge_station_m: Array
     damping_ratio: Array
-    viscous: Array  # added by a smooth wall, times the fourth root of the axial load, (m/s2)^(1/4)
-    ring: Array  # added by ring baffles, per root of the swing, rad^(-1/2)
-    swing_rad: Array  # swing for that: that of a flight (node.with_swings), 0 of a vehicle that was not flown
+    viscous: Array  # damping by a smooth wall times the fourth root of the axial load, (m/s2)^(1/4)
+    ring: Array  # damping by ring baffles per root of the swing, rad^(-1/2)
+    swing_rad: Array  # swing in a flight (node.with_swings), or 0 without a flight
 
     def small_wave_damping(self, load_mps2: float) -> Array:
-        """Return the damping ratio in small waves, in which baffles have no effect, under an axial load."""
+        """Return the damping ratio for small waves, where baffles have no effect, under an axial load."""
         return np.asarray(self.damping_ratio + self.viscous * np.maximum(load_mps2, 1e-9) ** -0.25)
 
     def damping(self, load_mps2: float) -> Array:
-        """Return the damping ratio of a swing of `swing_rad`: the describing function of the rings (docs/model.md,
-        5.9)."""
+        """Return the damping ratio for the amplitude `swing_rad`.
+
+        The damping of rings is their describing function (docs/model.md, 5.9).
+        """
         return np.asarray(self.small_wave_damping(load_mps2) + self.ring * np.sqrt(self.swing_rad))
 
     @property
@@ -42,24 +44,24 @@ class Pendulums:
 
 @dataclass(frozen=True)
 class VehicleAt:
-    """A stage at one instant, in one plane.
+    """The properties of a stage at one instant, in one plane.
 
-    Stations are in m aft of the nose. CG and inertia are those with the liquid frozen.
+    Stations are in m aft of the nose. CG and inertia are those with frozen liquid.
     """
 
     total_mass_kg: float
     total_cg_station_m: float
     total_inertia_kgm2: float  # about y (pitch) or z (yaw)
-    core_inertia_kgm2: float  # about the CG of the core, without the sloshing masses
-    omega_radps: Array  # of the modes, the spatial ones first
+    core_inertia_kgm2: float  # about the core's CG, without the sloshing masses
+    omega_radps: Array  # of the modes, spatial modes first
     damping_ratio: Array
     pendulums: Pendulums
-    sensors: tuple[tuple[str, float], ...] = ()  # beyond the gyro: the name of each measurement, and its station, m
-    cut_stations_m: tuple[float, ...] = ()  # of section loads that are switched on
+    sensors: tuple[tuple[str, float], ...] = ()  # further sensors: name of the measurement and station, m
+    cut_stations_m: tuple[float, ...] = ()  # stations of active section loads
 
 
 def vehicle_at(held: HeldStage, plane: Plane) -> VehicleAt:
-    """Return the numbers of the first vehicle of a held stage."""
+    """Return the properties of the first vehicle of a held stage."""
     p, vehicle, sizes = held.properties[0], held.parameters[0].vehicle, held.sizes
     _, cg, inertia = total_of(held)
     pitch = plane == "pitch"
@@ -99,9 +101,7 @@ def pendulums_of(held: HeldStage) -> Pendulums:
 
 
 def total_of(held: HeldStage) -> tuple[Array, Array, Array]:
-    """Return the mass (vehicles,), station of the CG (vehicles,) and inertia about y and z (vehicles, 2), with the
-    liquid frozen.
-    """
+    """Return mass (vehicles,), CG station (vehicles,) and inertia about y and z (vehicles, 2), with frozen liquid."""
     p = held.properties
     core, station = p[:, schedule.CORE_MASS], p[:, schedule.CORE_CG]
     mass, bob = held.tank(schedule.TANK_MASS), held.tank(schedule.TANK_HINGE) + held.tank(schedule.TANK_LENGTH)
@@ -115,9 +115,9 @@ def total_of(held: HeldStage) -> tuple[Array, Array, Array]:
 
 
 def axial_load_mps2(held: HeldStage, condition: FlightCondition, trim: Trim) -> float:
-    """Return the axial specific force of the first vehicle, (thrust - drag) / mass, as it acts on modes and pendulums.
+    """Return the axial specific force on modes and pendulums of the first vehicle, (thrust - drag) / mass.
 
-    Between the rows of its tables, the total mass differs slightly from that of core and bobs.
+    Between the rows of the tables, the total mass differs slightly from the sum of core and bobs.
     """
     one = dataclasses.replace(held, parameters=held.parameters[:1], properties=held.properties[:1])
     one, y = one.without_sections().copied().prepared(dataclasses.replace(condition, gravity_mps2=0.0), trim)
@@ -162,7 +162,7 @@ def with_frozen_liquid(held: HeldStage) -> HeldStage:
 
 
 def without_lateral_air(held: HeldStage) -> HeldStage:
-    """Return a stage on which the air acts along its axis alone."""
+    """Return a stage on which the air exerts axial forces only."""
     held = held.copied()
     aerodynamics = held.vehicle["aero"]
     aerodynamics["force_factor"], aerodynamics["damping_factor"] = 0.0, 0.0
@@ -170,7 +170,7 @@ def without_lateral_air(held: HeldStage) -> HeldStage:
     first, intervals, columns = int(table.offset) + int(table.n_breaks), int(table.n_breaks) - 1, int(table.n_columns)
     pool = held.pool.copy()
     rows = pool[first : first + intervals * 4 * columns].reshape(-1, columns)
-    if columns > aero.CD:  # straight ahead the drag along the wind is an axial force
+    if columns > aero.CD:  # at zero angle of attack, drag is an axial force
         rows[:, aero.CA] += rows[:, aero.CD]
         rows[:, aero.CD] = 0.0
     return dataclasses.replace(held, pool=pool)
@@ -179,13 +179,13 @@ def without_lateral_air(held: HeldStage) -> HeldStage:
 # --- derivatives
 @dataclass(frozen=True)
 class StabilityDerivatives:
-    """The coefficients of alpha' = Z and q' = M as the paper defines them (4 to 8): whole mass, rigid body, frozen
-    liquid.
+    """The coefficients of alpha' = Z and q' = M, as defined in the paper (4 to 8).
 
-    Z_alpha and M_alpha are negative for a statically stable vehicle with lift.
+    They apply to the rigid body with its whole mass and frozen liquid. Z_alpha and M_alpha are negative for a
+    statically stable vehicle with lift.
     """
 
-    z_alpha_1ps: float  # (4), with the drag along the wind
+    z_alpha_1ps: float  # (4), including the drag along the wind
     m_alpha_1ps2: float  # (6)
     z_delta_1ps: float  # (5)
     m_delta_1ps2: float  # (8), without the axial load of the engine's mass (erratum 8: +0.2 to 0.4 %)
@@ -195,9 +195,9 @@ class StabilityDerivatives:
 def stability_derivatives(
     held: HeldStage, condition: FlightCondition, trim: Trim, plane: Plane, drives: Drives
 ) -> StabilityDerivatives:
-    """Return the derivatives at a flight condition.
+    """Return the stability derivatives at a flight condition.
 
-    Raises ValueError at rest, since eqs 4 and 5 divide by the speed.
+    Raises ValueError for zero airspeed, since eqs 4 and 5 divide by it.
     """
     if condition.airspeed_mps <= 0.0:
         raise ValueError("stability derivatives are defined for positive airspeed only")
@@ -223,12 +223,10 @@ def stability_derivatives(
 def incidence_by_acceleration(
     vehicle: VehicleAt, derivatives: StabilityDerivatives, speed_mps: float
 ) -> tuple[float, float]:
-    """Return the coefficients that give the angle of attack from an accelerometer and the pitch acceleration
-    (control/laws/load_relief.py).
+    """Return the coefficients for an estimate of the angle of attack from accelerometer and pitch acceleration.
 
-    They are `percussion_m` and `accel_per_incidence_mps2` of the rigid body.
-
-    Raises ValueError without an accelerometer, without air, and without an engine that turns the vehicle.
+    They are `percussion_m` and `accel_per_incidence_mps2` of the rigid body (control/laws/load_relief.py). Raises
+    ValueError without an accelerometer, without air, and without an engine that exerts a moment.
     """
     station_m = next((at for name, at in vehicle.sensors if name == ACCELERATION), None)
     d = derivatives

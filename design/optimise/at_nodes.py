@@ -1,6 +1,4 @@
-"""The solution of a case at its operating points: the problem, the search from all starts, and the check of the result
-by poles.
-"""
+"""The solution of a case at its operating points: problem, search from all starts, and stability check by poles."""
 
 from __future__ import annotations
 
@@ -26,13 +24,16 @@ from maxq.design.optimise.search import FINE_STEPS, PATIENCE, BestPoint, SearchP
 from maxq.design.optimise.solution import MET_DB, Solution, make_solution
 from maxq.design.optimise.sqp import descend
 
-MORE_STARTS = 3  # times as many, if the limits cannot be met
-LEAST_EVALUATIONS = 60  # of a search for the limits alone
-LIMITS_DB = 1e-7  # least gain of a step in such a search
+MORE_STARTS = 3  # factor on the number of starts if the limits cannot be met
+LEAST_EVALUATIONS = 60  # minimum number of evaluations of a search for the limits alone
+LIMITS_DB = 1e-7  # smallest improvement per step in such a search
 
 
 def make_problem(case: Case, plants: Plants, like: LawVariables | None = None) -> Problem:
-    """Return the optimisation problem of a case, with the fixed part of the law `like` of another of its problems."""
+    """Return the optimisation problem of a case.
+
+    `like` is the law of another problem of the same case, whose fixed results are reused.
+    """
     return _problem_of(case, plants, law_kind(case.law).variables(plants.task(case), like))
 
 
@@ -47,7 +48,8 @@ def solve_at_nodes(
 ) -> Solution:
     """Return the best design found for the plants at the operating points of the case.
 
-    If none is stable, the limits are tried without each of those that a case can omit, from two starts each.
+    If no stable design is found, the limits that a case can omit are omitted in turn, and the search is repeated from
+    two starts. `Solution.stable_without` lists the limits without which a stable design was found.
     """
     begun, case = time.perf_counter(), loaded.case
     problem, found = search_best(case, plants, also_from, progress)
@@ -65,7 +67,7 @@ def solve_at_nodes(
 
 
 def finished(case: Case, plants: Plants, problem: Problem, found: BestPoint, begun: float) -> Solution:
-    """Return the solution at a search's best point, with its stability checked by poles."""
+    """Return the solution at the best point of a search, with its stability checked by poles."""
     seconds = time.perf_counter() - begun
     stable = closes_stably(plants, problem, found.best.variables)
     return make_solution(case, plants, problem, found, seconds, stable)
@@ -74,11 +76,11 @@ def finished(case: Case, plants: Plants, problem: Problem, found: BestPoint, beg
 def search_best(
     case: Case, plants: Plants, also_from: Sequence[DesignedLaw] = (), progress: SearchProgress | None = None
 ) -> tuple[Problem, BestPoint]:
-    """Search from all starts: those of other laws, and the number of the law's own starts that the case states.
+    """Search from all starts: those of other laws, and the law's own starts in the number that the case specifies.
 
-    If the limits cannot be met from these, the search is repeated from several times as many starts, and finally for
-    the limits alone. The violation has its own local minima, and none of the starts that suit the objective may reach
-    the best of them.
+    If no start meets the limits, the search is repeated from `MORE_STARTS` times as many starts, and finally for the
+    limits alone. The violation has local minima of its own, and the starts that suit the objective may miss the best of
+    them.
     """
     problem, found = _search_from(case, plants, also_from, progress)
     if found.feasible or found.interrupted:
@@ -91,10 +93,10 @@ def search_best(
 
 
 def search_on(case: Case, problem: Problem, found: BestPoint, also_settled: bool = False) -> BestPoint:
-    """Return a point that meets the limits, or misses them by less, if one is found from an unsettled best effort.
+    """Return the better point after a search for the limits alone, from a search that misses them.
 
-    The search considers the limits alone, from the best effort and the law's own starts. It takes about half as many
-    evaluations as the search before. `also_settled` starts it from a settled best effort, too.
+    The search begins at the best effort and at the law's own starts. It uses about half the number of evaluations of
+    the previous search. `also_settled` includes a best effort that is settled.
     """
     if found.feasible or found.interrupted or (found.settled and not also_settled):
         return found
@@ -112,10 +114,10 @@ def search_on(case: Case, problem: Problem, found: BestPoint, also_settled: bool
 def meet_limits(
     problem: Problem, starts: Sequence[Array], most: int, progress: Callable[[ProblemAtPoint], None] = lambda _: None
 ) -> ProblemAtPoint:
-    """Return the point with the least violation among the results of all descents from the starts.
+    """Return the point with the least violation among the results of descents from all starts.
 
-    The descents end with the first point that meets the limits, or after `most` evaluations of the problem. `progress`
-    is called with the best point so far.
+    The search ends at the first point that meets the limits, or after `most` evaluations of the problem. `progress` is
+    called with the best point so far.
     """
     best: ProblemAtPoint | None = None
 
@@ -134,7 +136,7 @@ def meet_limits(
 
 
 def limits_rank(at: ProblemAtPoint) -> tuple[int, float]:
-    """Return the key by which points are sorted if only the limits count: stable before unstable."""
+    """Return the sort key of a point if only the limits count. Stable points precede unstable points."""
     return at.unstable, at.violation_db
 
 
@@ -147,7 +149,7 @@ def _search_from(
     simpler = law.simpler()
     if simpler is None:
         return problem, search(problem, [*given, *law.starts(count, seed)], progress=progress, leaps=leaps, seed=seed)
-    # one with all variables; the others at low cost, with few
+    # one start has all variables, and the others have few for a low cost
     few, lift = simpler
     own, fresh = law.starts(1, seed), few.starts(count, seed)[: count - 1]
     return problem, search(
@@ -156,7 +158,10 @@ def _search_from(
 
 
 def closes_stably(plants: Plants, problem: Problem, variables: Array) -> bool:
-    """Return True if every closed loop is stable by its eigenvalues, which the optimiser has not used."""
+    """Return True if every closed loop is stable by its eigenvalues.
+
+    The optimiser uses the argument principle instead, so that the check is independent.
+    """
     for plant, law in zip(plants.each, problem.law.controllers(variables), strict=True):
         poles = plant.without_drift(Loop(plant.path, law).closed_poles())
         if isinstance(plant.path, ExactFixedPath):

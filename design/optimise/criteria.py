@@ -1,10 +1,9 @@
-"""The use of `design.quantities` by the optimiser: the tables of objectives and of limits.
+"""The objectives and limits of the optimiser, as tables of quantities of `design.quantities`.
 
-Each entry has the key of its quantity. It gives the features that are searched for on the curves, and the function that
-judges them: as parts of (where, value, limit, excess in dB). Limits that are independent of frequency are part of the
-law (`LawVariables.limits`).
-
-A phase is converted to decibels in the ratio of gain margin to phase margin: 6 dB for 30 deg, 0.2 dB/deg.
+Each entry has the key of its quantity, the searches for features on the curves, and the function that assesses them.
+The function returns parts of (features, value, limit, excess in dB). Limits that are independent of frequency belong to
+the law (`LawVariables.limits`). A phase is converted to decibels by the ratio of gain margin to phase margin: 6 dB for
+30 deg, or 0.2 dB/deg.
 """
 
 from __future__ import annotations
@@ -28,10 +27,10 @@ from maxq.design.quantities import LAST_MODE, QUANTITIES
 
 @dataclass(frozen=True)
 class Seen:
-    """The features of all loops at a point of the variables. Arrays have the shape (features,).
+    """The features of all loops at a point of the variables, as arrays (features,).
 
-    `mode` is the number of a bending peak, else 0. `weight_db` is that of the peak (`features.Mode`). `of_first_mode`
-    marks crossings of 0 dB that belong to mode 1 of the same plant.
+    `mode` is the number of the bending mode of a peak, and 0 for other features. `weight_db` is the weight of the peak
+    (`features.FeatureMode`). `of_first_mode` marks crossings of 0 dB that belong to mode 1 of the same plant.
     """
 
     kind: NDArray[np.int8]
@@ -45,17 +44,17 @@ class Seen:
 
     @cached_property
     def gain_db(self) -> Array:
-        """Return |L| in dB."""
+        """Return |L| at each feature, dB."""
         return self.at.value.real * DB
 
     @cached_property
     def beside_deg(self) -> Array:
-        """Return arg L - 180 deg."""
+        """Return arg L - 180 deg, wrapped to (-180, 180]."""
         return np.asarray(np.degrees(features.wrapped(self.at.value)))
 
     @cached_property
     def distance_db(self) -> Array:
-        """Return |1 + L| of the nearest approaches to -1, else nan."""
+        """Return |1 + L| in dB at the nearest approaches to -1, and nan at other features."""
         out, near = self.none.copy(), self.kind == FeatureKind.MODULUS
         out[near] = DB * np.log(np.abs(1.0 + np.exp(self.at.value[near])))
         return out
@@ -66,17 +65,17 @@ class Seen:
 
     @cached_property
     def none(self) -> Array:
-        """Return nan: the quantity has no limit of its own."""
+        """Return nan for all features, for a quantity without a limit of its own."""
         return np.full(len(self.kind), np.nan)
 
     def limit(self, name: str) -> Array:
-        """Return the limit of each feature's plant."""
+        """Return the limit of each feature's plant by its key."""
         return self.limits[name][self.plant]
 
 
 JudgedFeatures = tuple[Mask, Array, Array, Array]
-"""The features, the value, the limit and the excess (dB). The excess of an objective is the minimised value. nan:
-not judged.
+"""A mask of features, with value, limit and excess (dB) of each. The excess of an objective is the minimised value.
+A feature with an excess of nan is not assessed.
 """
 
 
@@ -84,7 +83,7 @@ not judged.
 class Criterion:
     """The rows of a quantity of `QUANTITIES`, by its key.
 
-    The `searches` for its features are made if `asked` is True, that is, if a plant has the limit.
+    The `searches` for features are carried out only if `asked` is True, that is, if a plant has the limit.
     """
 
     key: str
@@ -100,7 +99,7 @@ class Criterion:
         return QUANTITIES[self.key].unit
 
     def asked(self, limits: PlantLimits, common: Limits) -> bool:
-        """Return True if a plant has a limit of the quantity."""
+        """Return True if at least one plant has a limit on the quantity."""
         return common.zone != "none" if self.key == "zone" else limits.asked(self.key)
 
 
@@ -108,9 +107,9 @@ class Criterion:
 class Objective:
     """The objective: the largest value of a criterion over all plants, dB, which is minimised.
 
-    `about` names the number as it is written to a design, and `reached` gives it in the unit of a report. `needs_mode`
-    is True if a plant without a first bending mode has no objective. For objectives of the law in wind
-    (`LawLimit.objective`), the loop is not searched.
+    `about` describes the value in a design file, and `reached` formats it in the unit of a report. With `needs_mode`, a
+    plant without a first bending mode is an error. An objective of the law in wind (`LawLimit.objective`) needs no
+    search of the loop.
     """
 
     criterion: Criterion
@@ -120,9 +119,9 @@ class Objective:
 
 
 def _peak(key: str, first: int, last: int) -> Callable[[Seen], list[JudgedFeatures]]:
-    """Return the rows of the peaks of bending modes `first` to `last`.
+    """Return the function for the peaks of bending modes `first` to `last`.
 
-    `key` is that of the limit, or none for an objective.
+    `key` is the key of the limit, or empty for an objective.
     """
 
     def parts(seen: Seen) -> list[JudgedFeatures]:
@@ -164,8 +163,9 @@ OBJECTIVES: dict[ObjectiveName, Objective] = {
 
 
 def _gain_margin(seen: Seen) -> list[JudgedFeatures]:
-    """Return the rows of (44) at every crossing and end, and those of points that approach 180 deg within the margin
-    without a crossing.
+    """Return the rows of (44) at every crossing and end of the curve.
+
+    Points that approach 180 deg within the gain margin but do not cross it have rows, too.
     """
     least = seen.limit("gain_margin_db")
     crossing = (seen.kind == FeatureKind.GAIN_CROSSING) | (seen.kind == FeatureKind.END)
@@ -177,8 +177,9 @@ def _gain_margin(seen: Seen) -> list[JudgedFeatures]:
 
 
 def _phase_margin(seen: Seen) -> list[JudgedFeatures]:
-    """Return the rows of (45) at every crossing of 0 dB, and those of points that approach 0 dB within the margin
-    without a crossing.
+    """Return the rows of (45) at every crossing of 0 dB.
+
+    Points that approach 0 dB within the phase margin but do not cross it have rows, too.
     """
     least, crossing = seen.limit("phase_margin_deg"), seen.kind == FeatureKind.PHASE_CROSSING
     turn = (seen.kind == FeatureKind.GAIN_TURN) & (np.abs(seen.beside_deg) < least)

@@ -1,8 +1,8 @@
-"""A local descent within a box or a ball. It ends if no small step lowers the value.
+"""A local descent within a box or a ball, which ends if no small step lowers the value.
 
-Each round evaluates a step to either side along every coordinate, all at once. These two values and the present one
-give slope and curvature along that coordinate. The next point is searched for along the step that they predict for all
-coordinates together, and among the evaluated points. A round that does not lower the value halves the steps.
+Each round evaluates steps in both directions along every coordinate, all at once. Together with the present value,
+these give slope and curvature along each coordinate. The next point is the best of the evaluated points and of points
+along the step that slopes and curvatures predict for all coordinates. A round without an improvement halves the steps.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ import numpy as np
 from maxq.control.kernel.records import Array
 
 RangeShape = Literal["box", "ellipsoid"]
-_FIRST, _LAST = 0.3, 0.003  # steps, in shares of the reach
+_FIRST, _LAST = 0.3, 0.003  # steps, relative to the reach
 _SHARES = np.array([1.0, 0.6, 0.35, 0.2, 0.1])
-_GAIN = 1e-5  # least improvement of a round, for a value near 1
+_GAIN = 1e-5  # smallest improvement of a round, relative to the value
 _MOST_ROUNDS = 40
 
 
 @dataclass(frozen=True)
 class Region:
-    """The points u with |u_i| <= reach (box), or |u| <= reach (ellipsoid, in coordinates in which it is a ball)."""
+    """The points u with |u_i| <= reach (box), or with |u| <= reach (an ellipsoid in coordinates of a ball)."""
 
     shape: RangeShape
     reach: float
 
     def nearest(self, points: Array) -> Array:
-        """Return the nearest points of the region, (..., coordinates)."""
+        """Return the points of the region that are nearest to `points` (..., coordinates), in the same shape."""
         if self.shape == "box":
             return np.asarray(np.clip(points, -self.reach, self.reach))
         size = np.linalg.norm(points, axis=-1, keepdims=True)
@@ -46,9 +46,9 @@ class Region:
 def descend(
     values_at: Callable[[Sequence[Array]], Sequence[float]], start: Array, value: float, region: Region
 ) -> tuple[Array, float]:
-    """Return the point at which a descent from `start` (coordinates,) ends, and the value there.
+    """Return the end point of a descent from `start` (coordinates,), and the value there.
 
-    `values_at` returns the values of many points. `value` is that of `start`.
+    `values_at` returns the values of many points. `value` is the value at `start`.
     """
     u, units, step = np.asarray(start, float), np.eye(len(start)), _FIRST
     for _ in range(_MOST_ROUNDS):
@@ -62,7 +62,7 @@ def descend(
         with np.errstate(divide="ignore", invalid="ignore"):
             newton = np.where(curvature > 0.0, -slope / curvature, -np.sign(slope) * np.inf)
         newton = np.nan_to_num(np.clip(newton, -2.0 * width, 2.0 * width))
-        # a coordinate at a bound: one side of it was not evaluated, and the other is no better
+        # excludes coordinates at a bound, where one side is not evaluated, if the other side is no better
         newton = np.where(np.minimum(up, down) < 0.0, newton, 0.0 if region.shape == "box" else newton)
         trials = region.nearest(u + _SHARES[:, None] * newton)
         every, values = np.concatenate([polls, trials]), np.append(found, values_at(list(trials)))
@@ -77,10 +77,9 @@ def descend(
 def to_corner(
     values_at: Callable[[Sequence[Array]], Sequence[float]], start: Array, box: Region
 ) -> tuple[Array, float]:
-    """Return the corner of a box near `start` that no change of a single coordinate to either end improves, and its
-    value.
+    """Return a corner of a box near `start` that no change of a single coordinate improves, and its value.
 
-    All coordinates that lower the value are moved together if this lowers it more than the best of them alone.
+    If several coordinates lower the value, they are moved together where this is better than the best single change.
     """
     u = box.reach * np.where(start >= 0.0, 1.0, -1.0)
     (value,) = values_at([u])

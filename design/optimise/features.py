@@ -1,22 +1,23 @@
-"""The features by which a loop is judged: its peaks, crossings and nearest approaches to -1.
+"""The features by which a loop is assessed: its peaks, crossings and nearest approaches to -1.
 
-Each feature is solved for, with its gradient. A feature is found on the mesh of `Curves` by a change of sign or a local
-extreme, and refined by Newton's method on the splines. Its value then depends smoothly on the variables:
+Each feature is solved for, with its gradient. A change of sign or a local extreme on the mesh of `Curves` locates a
+feature, and Newton's method on the splines refines it. Its value then depends smoothly on the variables:
 
 | feature | at | value |
 |---|---|---|
-| peak | d ln|L| = 0 within a band, or its end | ln|L| |
+| peak | d ln|L| = 0 within a band, or the end of the band | ln|L| |
 | gain crossing | arg L = 180 deg (mod 360) | ln|L| |
 | phase crossing | |L| = 1 | arg L - 180 deg |
 | turn of gain | d ln|L| = 0 near 0 dB, close to 180 deg | ln|L| |
 | turn of phase | d arg L = 0 near 180 deg, close to 0 dB | arg L - 180 deg |
-| end | zero frequency, Nyquist frequency: L is real | ln|L| where it is negative |
+| end | zero frequency, Nyquist frequency: L is real | ln|L| where L is negative |
 | modulus | d |1 + L| = 0 | ln|1 + L| |
-| zone | least of the zone's function along the curve | that function |
+| zone | minimum of the zone's function along the curve | that function |
 
-Gradients: at an extreme, the frequency may be held, since its change has an effect of second order. At a crossing, u =
-0 of u + iv = ln L along x, the value of v changes by dv - (v_x / u_x) du. A zone with corners (diamond, rectangle) is a
-maximum of smooth functions. If the least is on a corner line, the same formula holds for the two functions that meet.
+Gradients: at an extreme, the frequency may be held constant, since its change has an effect of second order. At a
+crossing u = 0 of u + iv = ln L along x, the value v changes by dv - (v_x / u_x) du. The function of a zone with corners
+(diamond, rectangle) is a maximum of smooth functions. If its minimum is on a corner line, the formula of a crossing
+applies to the two functions that meet there.
 """
 
 from __future__ import annotations
@@ -45,11 +46,11 @@ Mask = NDArray[np.bool_]
 Record = TypeVar("Record", bound="DataclassInstance")
 
 REAL_WITHIN_RAD = 0.02
-WIDEST_ZONE = 2.5  # approaches to a zone that are rows
+WIDEST_ZONE = 2.5  # largest value of the zone's function that has a row
 
 
 class FeatureKind(IntEnum):
-    """The kind of a feature."""
+    """The kinds of features, as listed in the table of the module."""
 
     PEAK = 0
     GAIN_CROSSING = 1
@@ -64,9 +65,9 @@ class FeatureKind(IntEnum):
 
 @dataclass(frozen=True)
 class Cross:
-    """The half axes of the cross, and of the zone, around -1, one for each plant, mesh point or feature: ln|L| and rad.
+    """The half axes of the cross, and of the zone, around -1, for each plant, mesh point or feature: ln|L| and rad.
 
-    `zone` is a name or "none".
+    `zone` is the name of a zone or "none".
     """
 
     gain: Array
@@ -74,21 +75,20 @@ class Cross:
     zone: str
 
     def of(self, which: CurveIndices | Mask) -> Cross:
-        """Return the half axes of plants, or of some of these features."""
+        """Return the half axes of a selection."""
         return Cross(self.gain[which], self.phase[which], self.zone)
 
     @property
     def db_per_rad(self) -> Array:
-        """Return the conversion factor of a phase: the gain margin divided by the phase margin."""
+        """Return the conversion factor of phases, the ratio of gain margin to phase margin."""
         return np.asarray(self.gain / self.phase * DB)
 
 
 @dataclass(frozen=True)
 class LogLoop:
-    """The values of ln L at points, its derivatives by x = ln f, and the data that the law needs for its gradient
-    there.
+    """The values of ln L at points, its derivatives with respect to x = ln f, and the data for the gradient of the law.
 
-    `weights` (points, inputs) are as in `LawVariables.gradient`. `own` has the shape (points, own parameters).
+    `weights` (points, inputs) are those of `LawVariables.gradient`. `own` has the shape (points, own parameters).
     """
 
     value: ComplexArray
@@ -99,25 +99,25 @@ class LogLoop:
     axis: Axis
 
     def beside(self, change: Array) -> LogLoop:
-        """Return the values at x + change, for changes so small that only ln L and its slope change."""
+        """Return the values at x + change, to second order in the change."""
         first = self.first + self.second * change
         return replace(self, value=self.value + 0.5 * (self.first + first) * change, first=first)
 
     def taken(self, i: CurveIndices) -> LogLoop:
-        """Return some of the points."""
+        """Return the points with the indices `i`."""
         axis = tuple(a[i] for a in self.axis)
         return LogLoop(self.value[i], self.first[i], self.second[i], self.weights[i], self.own[i], axis)
 
 
 @dataclass(frozen=True)
 class MeshPlaces:
-    """The mesh intervals that contain features, and the starting points of the refinement."""
+    """The mesh intervals that contain features, with starting points for the refinement."""
 
     kind: NDArray[np.int8]
     cell: CurveIndices
     x: Array
-    tag: CurveIndices  # the band of a peak; else 0
-    fixed: Mask  # the frequency is given: ends of bands and of the mesh
+    tag: CurveIndices  # index of a peak's band; 0 for other features
+    fixed: Mask  # True for a given frequency: the end of a band or of the mesh
 
 
 def wrapped(log_loop: ComplexArray) -> Array:
@@ -127,9 +127,9 @@ def wrapped(log_loop: ComplexArray) -> Array:
 
 @dataclass(frozen=True)
 class FeatureMode:
-    """A bending mode of a plant, as `loop.own_part` describes it.
+    """A bending mode of a plant, as defined in `loop.own_part`.
 
-    `log_weight` is ln of the factor that makes max |L| in its band the peak of the mode.
+    `log_weight` is ln of the ratio of the mode's peak to max |L| in its band.
     """
 
     number: int  # 1, 2, ...
@@ -142,7 +142,7 @@ class FeatureMode:
 
 @dataclass(frozen=True)
 class Bands:
-    """The frequency bands of the peaks of modes: mesh points [first, last] of each, ends included.
+    """The frequency bands of the peaks of modes, as mesh points from `first` to `last` inclusive.
 
     `centre` is the mesh point of the mode's frequency.
     """
@@ -163,9 +163,7 @@ class Bands:
 
     @cached_property
     def _by_plant(self) -> tuple[CurveIndices, CurveIndices, ComplexArray, Array, Array]:
-        """Return the numbers of modes, and of each at each plant, (modes, plants): mesh point, own part, frequency,
-        half width.
-        """
+        """Return the mode numbers, and mesh point, own part, frequency and half width of each mode, (modes, plants)."""
         numbers, row = np.unique(self.mode, return_inverse=True)
         shape, at = (len(numbers), int(self.plant.max(initial=-1)) + 1), (row, self.plant)
         centre, part = np.zeros(shape, np.int64), np.zeros(shape, np.complex128)
@@ -177,10 +175,10 @@ class Bands:
     def own_crossings(
         self, number: int, plant: CurveIndices, x: Array, value: ComplexArray, loop: ComplexArray
     ) -> Mask:
-        """Return True for points (x = ln f, L = `value`) of plants at which a mode dominates. Its own part must be
-        larger than SHARE times the rest and the largest of all modes.
+        """Return True for the points at which a mode dominates.
 
-        `loop` is L on the mesh. The rule is that of `margins.lobes`.
+        The points have x = ln f and L = `value`, at the plants with index `plant`. A mode dominates if its own part is
+        larger than SHARE times the rest and the largest of all modes, as in `margins.lobes`. `loop` is L on the mesh.
         """
         numbers, centre, part, hz, width = self._by_plant
         if number not in numbers:
@@ -194,8 +192,9 @@ class Bands:
 
     @cached_property
     def points(self) -> tuple[CurveIndices, CurveIndices, CurveIndices, CurveIndices]:
-        """Return the mesh points of all bands one after the other, their bands, and the start and the end of each band
-        among these.
+        """Return the mesh points of all bands, the band of each, and each band's first and last position.
+
+        The positions are those in the returned mesh points.
         """
         size = self.last - self.first + 1
         end = np.cumsum(size)
@@ -205,10 +204,10 @@ class Bands:
 
 @dataclass(frozen=True)
 class CurveMesh:
-    """All loops on the mesh of their curves, on which features are searched for.
+    """All loops on the mesh of their curves, for the search of features.
 
-    `beside` is arg L - 180 deg, rad. `cross` is that of each mesh point. `finite_at_zero` (plants,) is True if L has no
-    pole at s = 0.
+    `beside` is arg L - 180 deg, rad. `cross` contains the half axes at each mesh point. `finite_at_zero` (plants,) is
+    True if L has no pole at s = 0.
     """
 
     curves: Curves
@@ -230,23 +229,26 @@ FeatureSearch = Callable[[CurveMesh], MeshPlaces]
 
 
 def joined(parts: Sequence[Record]) -> Record:
-    """Return records of arrays (dataclasses) as one record, with their entries one after the other."""
+    """Return several records of arrays (dataclasses) as one record with concatenated arrays."""
     names = [f.name for f in fields(parts[0])]
     return type(parts[0])(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def _untagged(kind: FeatureKind | Array, cell: CurveIndices, x: Array, fixed: bool = False) -> MeshPlaces:
-    """Return the places without kinds, for one kind of all or a kind of each."""
+    """Return places of features that have no band, all of one kind or with a kind for each."""
     n = len(cell)
     return MeshPlaces(np.full(n, kind, np.int8), cell, x, np.zeros(n, np.int64), np.full(n, fixed))
 
 
 def peaks(mesh: CurveMesh) -> MeshPlaces:
-    """Return the local maxima of |L| in each band: inner ones, and ends from which the curve falls inwards."""
+    """Return the local maxima of |L| in each band.
+
+    An end of a band is included if the curve falls towards the inside.
+    """
     curves, bands = mesh.curves, mesh.bands
     k, tag, starts, ends = bands.points
     value = mesh.log_gain[k]
-    # outside a band nothing is searched: its ends count if the curve falls inwards
+    # an end of a band is a maximum if the curve falls towards the inside
     before, after = np.append(-np.inf, value[:-1]), np.append(value[1:], -np.inf)
     before[starts], after[ends] = -np.inf, -np.inf
     found = np.flatnonzero((value > before) & (value >= after))
@@ -258,9 +260,7 @@ def peaks(mesh: CurveMesh) -> MeshPlaces:
 
 
 def crossings(mesh: CurveMesh) -> MeshPlaces:
-    """Return the changes of sign of arg L - 180 deg and of ln|L| between neighbours on the mesh, by linear
-    interpolation.
-    """
+    """Return the changes of sign of arg L - 180 deg and of ln|L| between mesh points, by linear interpolation."""
     curves, loop, log_gain = mesh.curves, mesh.loop, mesh.log_gain
     same = curves.plant[1:] == curves.plant[:-1]
     im, re = loop.imag, loop.real
@@ -279,10 +279,10 @@ def crossings(mesh: CurveMesh) -> MeshPlaces:
 
 
 def ends(mesh: CurveMesh) -> MeshPlaces:
-    """Return the first mesh points of loops that are finite at zero frequency, and the last mesh points, where L has
-    the phase of -1.
+    """Return the ends of curves at which L is real and negative.
 
-    L is real there and cannot cross the axis, but a change of gain still moves it to -1.
+    The first mesh point is an end if the loop is finite at zero frequency, and the last one always. The curve cannot
+    cross the axis at an end, but a change of gain moves it to -1.
     """
     curves, loop = mesh.curves, mesh.loop
     points = np.concatenate([curves.start[:-1][mesh.finite_at_zero], curves.start[1:] - 1])
@@ -291,7 +291,10 @@ def ends(mesh: CurveMesh) -> MeshPlaces:
 
 
 def _extremes(curves: Curves, value: Array, lowest: bool, where: Mask) -> tuple[CurveIndices, Array]:
-    """Return the mesh points (of `where`) that are local extremes inside a plant's mesh, and the parabola's vertex."""
+    """Return the inner mesh points that are local extremes, and each parabola's vertex.
+
+    `where` selects the mesh points.
+    """
     v = value if lowest else -value
     inner = np.zeros(len(v), bool)
     inner[1:-1] = (v[1:-1] <= v[:-2]) & (v[1:-1] < v[2:])
@@ -301,7 +304,7 @@ def _extremes(curves: Curves, value: Array, lowest: bool, where: Mask) -> tuple[
 
 
 def vertex(x: Array, value: Array, k: CurveIndices) -> Array:
-    """Return the vertex of the parabola through mesh points k - 1, k, k + 1, held between the outer two."""
+    """Return the vertex of the parabola through mesh points k - 1, k, k + 1, limited to the outer two."""
     around = k + np.arange(-1, 2)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         at, _ = solving.vertex(*x[around], *value[around])
@@ -309,15 +312,16 @@ def vertex(x: Array, value: Array, k: CurveIndices) -> Array:
 
 
 def turns(mesh: CurveMesh) -> MeshPlaces:
-    """Return the extremes that approach the cross |arg - 180| < phase at 0 dB, |ln L| < gain at 180 deg, without
-    crossing it.
+    """Return the extremes near the arms of the cross (0 dB within the phase margin, 180 deg within the gain margin).
+
+    The curve turns there without a crossing.
     """
     curves, log_gain, beside, cross = mesh.curves, mesh.log_gain, mesh.beside, mesh.cross
     found = []
     for sign in (1.0, -1.0):
         near = (sign * log_gain > 0) & (np.abs(beside) < cross.phase)
         found.append(_untagged(FeatureKind.GAIN_TURN, *_extremes(curves, log_gain, sign > 0, near)))
-        # 1.5 rad: a jump of the wrapped phase is not an extreme
+        # the bound of 1.5 rad excludes jumps of the wrapped phase
         near = (sign * beside > 0) & (np.abs(beside) < 1.5) & (np.abs(log_gain) < cross.gain)
         found.append(_untagged(FeatureKind.PHASE_TURN, *_extremes(curves, beside, sign > 0, near)))
     return joined(found)
@@ -330,9 +334,9 @@ def approaches(mesh: CurveMesh) -> MeshPlaces:
 
 
 def near_zone(mesh: CurveMesh) -> MeshPlaces:
-    """Return the local minima of the zone's function: on a face, or for a rectangle where two faces meet.
+    """Return the local minima of the zone's function on a face, and for a rectangle also where two faces meet.
 
-    A diamond's edges are on the axes of the cross, on which the crossings are.
+    The edges of a diamond are on the arms of the cross, where crossings are already features.
     """
     curves, log_gain, beside, cross = mesh.curves, mesh.log_gain, mesh.beside, mesh.cross
     value = zone_value(log_gain, beside, cross)
@@ -346,7 +350,7 @@ def near_zone(mesh: CurveMesh) -> MeshPlaces:
     a, p = np.abs(log_gain) / cross.gain, np.abs(beside) / cross.phase
     higher = a > p
     own = np.where(higher[k], (a[k - 1], a[k], a[k + 1]), (p[k - 1], p[k], p[k + 1]))
-    # beyond an edge towards which the own face still falls, the other face is higher: the edge is the least
+    # if the point's face still falls towards an edge and the other face is higher beyond it, the edge is the minimum
     after, before = (higher[k + 1] != higher[k]) & (own[2] < own[1]), (higher[k - 1] != higher[k]) & (own[0] < own[1])
     corner, other = after | before, np.where(after, k + 1, k - 1)
     gap = a - p
@@ -357,14 +361,14 @@ def near_zone(mesh: CurveMesh) -> MeshPlaces:
 
 
 def in_intervals(curves: Curves, places: MeshPlaces) -> MeshPlaces:
-    """Return the same places with `cell` as the mesh interval that contains x. The places begin as mesh points."""
+    """Return the places with mesh intervals in place of mesh points, so that each interval contains its x."""
     cell = np.where(places.x < curves.x[places.cell], places.cell - 1, places.cell)
     cell = np.minimum(cell, curves.start[curves.plant[places.cell] + 1] - 2)
     return replace(places, cell=cell)
 
 
 def zone_value(log_gain: Array, beside: Array, cross: Cross) -> Array:
-    """Return the zone's function: 0 at its centre, 1 on its border."""
+    """Return the zone's function, which is 0 at the centre and 1 on the border."""
     a, p = np.abs(log_gain) / cross.gain, np.abs(beside) / cross.phase
     if cross.zone == "ellipse":
         return np.asarray(np.hypot(a, p))
@@ -372,8 +376,8 @@ def zone_value(log_gain: Array, beside: Array, cross: Cross) -> Array:
 
 
 def condition(kind: NDArray[np.int8], at: LogLoop, cross: Cross) -> tuple[Array, Array]:
-    """Return the function that is zero at each feature, and its derivative by x."""
-    residual, slope = at.first.real.copy(), at.second.real.copy()  # extreme of ln|L|
+    """Return the function that is zero at each feature, and its derivative with respect to x."""
+    residual, slope = at.first.real.copy(), at.second.real.copy()  # default: extreme of ln|L|
     k = kind == FeatureKind.GAIN_CROSSING
     residual[k], slope[k] = wrapped(at.value[k]), at.first.imag[k]
     k = kind == FeatureKind.PHASE_CROSSING
@@ -408,11 +412,11 @@ def _zone_condition(kind: NDArray[np.int8], at: LogLoop, k: Mask, cross: Cross) 
 
 
 def sensitivity(kind: NDArray[np.int8], at: LogLoop, cross: Cross) -> ComplexArray:
-    """Return c, (features,), such that a change d ln L of L changes each feature's excess by Re(c d ln L), dB."""
+    """Return the factors c, (features,), for which Re(c d ln L) is the change of each feature's excess, dB."""
     value, first, db_per_rad = at.value, at.first, cross.db_per_rad
     beside = wrapped(value)
     gain_side, phase_side = np.sign(value.real), np.sign(beside)
-    out = np.full(len(kind), DB + 0j)  # a peak: ln|L| itself
+    out = np.full(len(kind), DB + 0j)  # default: the peak ln|L|
     with np.errstate(divide="ignore", invalid="ignore"):
         k = kind == FeatureKind.GAIN_CROSSING  # Re(dL) - (Re L' / Im L') Im(dL)
         out[k] = (-gain_side * DB * (1.0 + 1j * first.real / first.imag))[k]
@@ -427,12 +431,12 @@ def sensitivity(kind: NDArray[np.int8], at: LogLoop, cross: Cross) -> ComplexArr
     k = (kind == FeatureKind.ZONE) | (kind == FeatureKind.ZONE_CORNER)
     if k.any():
         out[k] = -cross.gain[k] * DB * _zone_sensitivity(kind[k], value[k], first[k], cross.of(k))
-    # where a curve runs along the line that it crosses, the gradient does not exist: zero replaces infinity
+    # a curve tangent to the line that it crosses has no gradient; zero replaces infinity
     return np.where(np.isfinite(out) & (np.abs(out) < 1e6), out, 0.0)
 
 
 def _zone_sensitivity(kind: NDArray[np.int8], value: ComplexArray, first: ComplexArray, cross: Cross) -> ComplexArray:
-    """Return c with which Re(c d ln L) is the change of the zone's function at its least."""
+    """Return the factors c for which Re(c d ln L) is the change of the zone's function at its minimum."""
     a, p = value.real / cross.gain, wrapped(value) / cross.phase
     by_a, by_p = np.sign(a) / cross.gain, np.sign(p) / cross.phase
     if cross.zone == "diamond":
@@ -442,6 +446,8 @@ def _zone_sensitivity(kind: NDArray[np.int8], value: ComplexArray, first: Comple
         return np.asarray(a / size / cross.gain - 1j * p / size / cross.phase)
     slope_a, slope_p = by_a * first.real, by_p * first.imag
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = slope_p / (slope_p - slope_a)  # of the gain's face: the mix does not change along the curve
+        share = slope_p / (
+            slope_p - slope_a
+        )  # weight of the gain's face, for which the sum is stationary along the curve
     share = np.where(kind == FeatureKind.ZONE_CORNER, share, np.where(np.abs(p) > np.abs(a), 0.0, 1.0))
     return np.asarray(share * by_a - 1j * (1.0 - share) * by_p)

@@ -12,11 +12,11 @@ from maxq.design.optimise.curves import CurveIndices, Curves
 from maxq.design.optimise.features import Cross, LogLoop, MeshPlaces
 
 NEWTON_STEPS = 6
-SMALL = 1e-8  # of ln f; the omitted third derivatives are at most 1e7 near a mode of zeta 0.005
+SMALL = 1e-8  # step of ln f; the neglected third derivatives are at most 1e7 near a mode with a damping ratio of 0.005
 
 
 class Loops:
-    """The curves of the plants with a law in variables.
+    """The loops of the plants' curves with a law in terms of its variables.
 
     `unstable_open` (plants,) is the number of poles of P in the right half plane (outside the unit circle).
     """
@@ -24,7 +24,7 @@ class Loops:
     def __init__(self, curves: Curves, unstable_open: CurveIndices, law: LawVariables) -> None:
         self.curves, self.law, self.unstable_open = curves, law, unstable_open
         self._axis = law.axis(curves.x)
-        # poles of the loop at s = 0 (z = 1), less zeros there: an integrator behind a differentiator counts 0
+        # poles minus zeros of the loop at s = 0 (z = 1), so that an integrator after a differentiator counts as 0
         at, after = curves.start[:-1], curves.start[:-1] + 1
         width = curves.x[after] - curves.x[at]
         rises = [curves.path * curves.ratio[name] if name in curves.ratio else curves.path for name in law.inputs]
@@ -42,26 +42,26 @@ class Loops:
         return np.asarray(curves.path * law * common)
 
     def unstable_poles(self, loop: ComplexArray) -> CurveIndices:
-        """Return the number of closed-loop poles in the right half plane (outside the unit circle), by the argument
-        principle, (plants,).
+        """Return the number of closed-loop poles in the right half plane (outside the unit circle), (plants,).
 
-        1 + L turns by pi (P + n/2 - Z) from zero frequency to the highest. n is the number of poles of L at s = 0 (z =
-        1).
+        By the argument principle, 1 + L turns by pi (P + n/2 - Z) from the lowest to the highest frequency, where n is
+        the number of poles of L at s = 0 (z = 1).
         """
         distance = 1.0 + loop
-        # the step from each point to the next; the step from one mesh to the next does not count
+        # turn between consecutive points, without the steps from one plant's mesh to the next
         step = np.angle(distance[1:] * np.conj(distance[:-1]))
         step[self.curves.start[1:-1] - 1] = 0.0
         turned = np.add.reduceat(np.append(step, 0.0), self.curves.start[:-1])
-        # with zeros there (n < 0) and L large, 1 + L has zeros below the lowest frequency: drift, which does not count
+        # for n < 0 and large L, 1 + L has zeros below the lowest frequency, which are drift and do not count
         large = np.abs(loop[self.curves.start[:-1]]) > 1.0
         at_zero = np.where(large, self.poles_at_zero, np.maximum(self.poles_at_zero, 0))
         poles = self.unstable_open + 0.5 * at_zero - turned / np.pi
         return np.maximum(np.rint(poles), 0.0).astype(np.int64)
 
     def log_loop(self, own: Array, cell: CurveIndices, x: Array) -> LogLoop:
-        """Return ln L at points x of mesh intervals `cell`, with the own parameters (points, own) of each point's
-        plant.
+        """Return ln L at points `x` in the mesh intervals `cell`.
+
+        `own` (points, own) contains the own parameters at the plant of each point.
         """
         p = self.curves.in_cells(cell, x)
         axis = self.law.axis(x)
@@ -94,9 +94,9 @@ class Loops:
         )
 
     def refined(self, own: Array, places: MeshPlaces, cross: Cross) -> tuple[Array, LogLoop]:
-        """Refine all features at once by Newton's method. `own` and `cross` are those of each feature.
+        """Refine all features simultaneously by Newton's method, and return their x = ln f and ln L.
 
-        Steps stay near the mesh interval.
+        `own` and `cross` are those of each feature. Steps remain near the mesh interval.
         """
         x, cell = places.x, places.cell
         width = self.curves.x[cell + 1] - self.curves.x[cell]
@@ -108,10 +108,10 @@ class Loops:
                 change = -residual / slope
             change = np.where(np.isfinite(change) & ~places.fixed, change, 0.0)
             x = np.clip(x + change, left, right)
-            if np.abs(change).max(initial=0.0) < SMALL:  # the next change is below rounding
+            if np.abs(change).max(initial=0.0) < SMALL:  # the next step is below the rounding error
                 return x, at.beside(change)
         return x, self.log_loop(own, cell, x)
 
     def own_gradient(self, at: LogLoop) -> ComplexArray:
-        """Return d ln L by the own parameters of the point's plant, (points, own)."""
+        """Return the gradient of ln L with respect to the own parameters of the point's plant, (points, own)."""
         return self.law.gradient(at.own, at.axis, at.weights)

@@ -1,9 +1,8 @@
-"""The optimisation of a design that also meets its limits between its nodes.
+"""The optimisation of a design that meets its limits also between its nodes.
 
-Instants at which it is worse are searched for and become nodes.
-
-The exchange method is that for dispersed plants (robust.py; Blankenship & Falk, J. Optim. Theory Appl. 19, 1976), with
-time as the parameter. The result depends on the grid of instants, and the certificate states their number.
+The search finds instants at which the design is worse than at its nodes, and adds them as nodes. The exchange method is
+that for dispersed plants (robust.py; Blankenship & Falk, J. Optim. Theory Appl. 19, 1976), with time as the parameter.
+The result depends on the grid of instants, and the certificate states their number.
 """
 
 from __future__ import annotations
@@ -21,9 +20,12 @@ from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants, 
 from maxq.design.optimise.search import SearchProgress
 from maxq.design.optimise.solution import Solution
 
-INSTANTS_S, MOST_INSTANTS = 0.25, 400  # apart, along the whole flight; of a stage when a design is judged
-FINE_S = 0.05  # apart, next to the worst of those
-WORSE_DB = 0.02  # instants with an objective that is worse by less are not added
+INSTANTS_S, MOST_INSTANTS = (
+    0.25,
+    400,
+)  # spacing along the flight; most instants of a stage in the assessment of a design
+FINE_S = 0.05  # spacing next to the worst instants
+WORSE_DB = 0.02  # smallest excess of the objective for which an instant is added
 COARSE = 1e-4  # tolerance of the curves along the whole flight: 1e-3 dB
 ROUNDS = 12
 UNSTABLE_DB = 1e3
@@ -31,7 +33,7 @@ UNSTABLE_DB = 1e3
 
 @dataclass
 class Instants:
-    """The case at any instant. Its plants are made once."""
+    """The case at any instant, with a cache of its plants."""
 
     loaded: LoadedCase
     known: dict[float, Plant]
@@ -60,11 +62,10 @@ class Instants:
 def solve_over_time(
     loaded: LoadedCase, nominal: Plants, also_from: Sequence[DesignedLaw] = (), progress: SearchProgress | None = None
 ) -> Solution:
-    """Return the best design found that meets its limits at all instants tried between the first and the last node.
+    """Return the best design found that meets its limits at all examined instants between the first and the last node.
 
-    Its objective there is at most WORSE_DB worse.
-
-    Gains that are free at every node remain free at the nodes of the case only.
+    The objective at these instants is at most WORSE_DB worse than at the nodes. Gains that are free at every node
+    remain free at the nodes of the case only.
     """
     loaded = gains_at_nodes(loaded, nominal)
     case = loaded.case
@@ -82,7 +83,7 @@ def solve_over_time(
             over, times_s = instants.over(grid, everywhere, law, solution), grid
             beside = {t + k * FINE_S for t in np.array(grid)[peaks(over, matters_db)] for k in range(-4, 5)}
             if beside:
-                # with the first and the last node: linear gains are numbers at both ends of a problem
+                # includes the first and the last node, since linear gains are defined at both ends of a problem
                 times_s = sorted({first, last, *(round(t, 9) for t in beside if first <= t <= last)})
                 over = instants.over(times_s, make_plants(instants.plants(times_s)), law, solution)
             checked = Checked(len({*grid, *times_s}), float(over.max(initial=0.0)))
@@ -91,7 +92,7 @@ def solve_over_time(
             if not new or number == ROUNDS:
                 break
             loaded = with_nodes(loaded, new)
-            # the next design is unknown until its instants are tried
+            # the next design has not been compared at other instants
             solution, checked = solve_at_nodes(loaded, plants_at(instants, loaded), [solution.law], progress), Checked()
     except KeyboardInterrupt:
         solution = replace(solution, status="interrupted")
@@ -101,9 +102,7 @@ def solve_over_time(
 
 @dataclass(frozen=True)
 class Checked:
-    """The number of instants at which a design was compared with its worst node, and the excess of the worst
-    instant.
-    """
+    """The number of instants at which a design was compared with its worst node, and the worst excess (dB)."""
 
     instants: int = 0
     worst_db: float = 0.0
@@ -115,9 +114,9 @@ def plants_at(instants: Instants, loaded: LoadedCase) -> Plants:
 
 
 def gains_at_nodes(loaded: LoadedCase, nominal: Plants) -> LoadedCase:
-    """Return the case with gains that were free at every node made free at its present nodes.
+    """Return the case with gains at its present nodes in place of gains that are free at every node.
 
-    Linear gains over a quantity other than time keep their ends there, since added nodes may be beyond them.
+    Linear gains over a quantity other than time keep their present ends, since added nodes may be beyond them.
     """
     case, gains = loaded.case, loaded.case.gains
     if gains.schedule == "free" and gains.over == "time_s":
@@ -130,28 +129,28 @@ def gains_at_nodes(loaded: LoadedCase, nominal: Plants) -> LoadedCase:
 
 
 def instants_along(first_s: float, last_s: float, apart_s: float) -> list[float]:
-    """Return times from the first to the last at approximately this spacing, or a single one if both are equal."""
+    """Return times from the first to the last with approximately the given spacing, or one time if both are equal."""
     count = 1 if first_s == last_s else max(2, round((last_s - first_s) / apart_s) + 1)
     return np.linspace(first_s, last_s, count).round(9).tolist()  # type: ignore[no-any-return]  # floats
 
 
 def instants_beside(times_s: Sequence[float]) -> list[float]:
-    """Return the instants between operating points of a stage at which limits are judged."""
+    """Return the instants between operating points of a stage at which limits are assessed."""
     first, last = min(times_s), max(times_s)
     every = instants_along(first, last, max(INSTANTS_S, (last - first) / MOST_INSTANTS))
     return [t for t in every if t not in times_s]
 
 
 def with_nodes(loaded: LoadedCase, times_s: Iterable[float]) -> LoadedCase:
-    """Return the case of a stage with more nodes."""
+    """Return the case of a stage with further nodes at the given times."""
     nodes_s = tuple(sorted({*loaded.case.times_s, *times_s}))
     return replace(loaded, case=loaded.case.model_copy(update={"nodes_s": nodes_s}))
 
 
 def peaks(over: Array, matters_db: Array) -> IntArray:
-    """Return the instants at which some kind of row is worse than at the neighbouring instants, and matters.
+    """Return the indices of instants at which a kind of row has a local maximum above its threshold.
 
-    `over` has the shape (kinds, instants). `matters_db` has the shape (kinds,), or (1,) for all.
+    `over` has the shape (kinds, instants), and `matters_db` the shape (kinds,), or (1,) for all kinds.
     """
     padded = np.pad(over, ((0, 0), (1, 1)), constant_values=-np.inf)
     top = (over > matters_db[:, None]) & (over >= padded[:, :-2]) & (over > padded[:, 2:])

@@ -1,6 +1,4 @@
-"""The plants for which a design is made: operating points with their fixed paths, bending bands and stability
-derivatives.
-"""
+"""The plants of a design: operating points with fixed paths, bending bands and stability derivatives."""
 
 from __future__ import annotations
 
@@ -36,7 +34,7 @@ from maxq.design.optimise.problem import bands_of
 
 @dataclass(frozen=True)
 class Plant:
-    """The fixed part of a loop. `dispersed` selects the limits of the plant."""
+    """The fixed part of a loop, with data of its vehicle. `dispersed` selects the limits of the plant."""
 
     node: OperatingPoint
     path: FixedPath
@@ -49,23 +47,24 @@ class Plant:
 
     @property
     def flown(self) -> Node:
-        """Return the operating point with its vehicle. Raises ValueError if it has none."""
+        """Return the operating point with its vehicle. Raises ValueError for an operating point without a vehicle."""
         return flown_point(self.node)
 
     @property
     def bands_hz(self) -> list[tuple[int, float, float]]:
-        """Return the number of each mode, and the frequencies between which its peak is found."""
+        """Return the number of each mode and the band of its peak."""
         return [(mode.number, *mode.band_hz) for mode in self.modes]
 
     def without_drift(self, poles: ComplexArray) -> ComplexArray:
-        """Return the poles of the open or closed loop (rad/s) that are not slower than the beginning of its curve."""
+        """Return the poles of the open or closed loop (rad/s), except those below the range of its curve."""
         return np.asarray(poles[np.abs(poles) > 2.0 * np.pi * lowest_hz_of(self.path.poles())])
 
 
 def make_plant(node: OperatingPoint, case: Case, dispersed: bool = False) -> Plant:
     """Return the plant of an operating point.
 
-    Raises ValueError for a point without a first bending mode if that is the objective.
+    Raises ValueError for a vehicle without a required sensor, and for a point without a first bending mode if the
+    objective requires one.
     """
     measured = (*law_kind(case.law).inputs, *(_further_gyros(node) if case.blend is not None else ()))
     needed = tuple(ACCELERATION if name in DRIFTS else name for name in measured)
@@ -89,9 +88,9 @@ def make_plant(node: OperatingPoint, case: Case, dispersed: bool = False) -> Pla
 
 
 def wind_of(path: FixedPath, case: Basis) -> WindResponse:
-    """Return the path in the case's wind, with the bending moments that the case requires.
+    """Return the wind response of a path in the case's wind, with the bending moments that the case requires.
 
-    Raises ValueError if there are none. The message names the operating point.
+    Raises ValueError, with the operating point, if a required bending moment does not exist.
     """
     assert case.wind is not None
     try:
@@ -102,7 +101,7 @@ def wind_of(path: FixedPath, case: Basis) -> WindResponse:
 
 
 def nodes_of(loaded: LoadedCase, times_s: Sequence[float]) -> Sequence[OperatingPoint]:
-    """Return the operating points of a case of one stage, at vehicle times."""
+    """Return the operating points of a case with one stage, at vehicle times."""
     case = loaded.case
     if loaded.points is not None:
         return given_points(loaded.points, times_s)
@@ -111,7 +110,7 @@ def nodes_of(loaded: LoadedCase, times_s: Sequence[float]) -> Sequence[Operating
 
 
 def modes_of(path: FixedPath) -> tuple[FeatureMode, ...]:
-    """Return the bending modes of a path below its end, with the bands of their peaks (`loop.own_part`)."""
+    """Return the bending modes within the range of a path, with the bands of their peaks (`loop.own_part`)."""
     top_hz, out = min(NEAREST_NYQUIST * path.highest_hz, HIGHEST_HZ), []
     bending = [r for r in path.resonances() if r.kind == "bending" and r.centre_hz <= top_hz]
     for r in bending:
@@ -146,7 +145,7 @@ class Plants:
 
     @property
     def unstable_open(self) -> CurveIndices:
-        """Return the number of poles of each fixed path in the right half plane."""
+        """Return the number of poles of each fixed path in the right half plane, without drift."""
         return np.array([int((p.without_drift(p.path.poles()).real > 1e-9).sum()) for p in self.each], np.int64)
 
     @property
@@ -155,12 +154,12 @@ class Plants:
 
     @property
     def first_mode_hz(self) -> float:
-        """Return the mean frequency of the first mode, or 10 Hz if there is none."""
+        """Return the mean frequency of the first bending mode, or 10 Hz if no plant has one."""
         first = [mode.centre_hz for p in self.each for mode in p.modes if mode.number == 1]
         return float(np.mean(first)) if first else 10.0
 
     def task(self, case: Case) -> Task:
-        """Return the task of a law's design."""
+        """Return the task for the law's variables."""
         off = case.robust.limits if case.robust is not None else case.limits
         limits = PlantLimits([off if p.dispersed else case.limits for p in self.each], self.times_s)
         dispersed = np.array([p.dispersed for p in self.each], bool)
@@ -190,12 +189,12 @@ class Plants:
         )
 
     def and_also(self, more: Sequence[Plant]) -> Plants:
-        """Return these plants and further ones."""
+        """Return these plants together with further plants."""
         return _with_curves((*self.each, *more), Curves([*self.curves.meshes, *_meshes(more)]))
 
 
 def make_plants(plants: Sequence[Plant], tolerance: float = TOLERANCE) -> Plants:
-    """Return the plants of paths. `tolerance` is that of the curves. Raises ValueError for no plants."""
+    """Return the plants with their curves, for the given tolerance. Raises ValueError if there is no plant."""
     if not plants:
         raise ValueError("there is no operating point to design for")
     return _with_curves(tuple(plants), Curves(_meshes(plants, tolerance)))

@@ -1,7 +1,7 @@
 """The problem (42) to (50) at a point of the variables: every peak, crossing and limit, with gradients.
 
-All quantities are in decibels. A phase is converted by the ratio of gain margin to phase margin (6 dB for 30 deg: 0.2
-dB/deg), so that violations of different limits are comparable.
+All quantities are in decibels. A phase is converted by the ratio of gain margin to phase margin (6 dB for 30 deg:
+0.2 dB/deg), so that violations of different limits are comparable.
 """
 
 from __future__ import annotations
@@ -33,25 +33,23 @@ from maxq.design.optimise.features import (
 )
 from maxq.design.optimise.loops import Loops
 
-FARTHEST_DB = 20.0  # rows that are met by a larger margin are omitted
-MISSED_DB = 1e-4  # a limit that is missed by less is met, at a plant or an instant that the search has not added
+FARTHEST_DB = 20.0  # rows that meet their limit by a larger margin are omitted
+MISSED_DB = 1e-4  # largest violation that counts as met at a plant or instant outside the problem
 
 
 @dataclass(frozen=True)
 class ProblemRows:
     """The rows of a problem.
 
-    `excess_db` of a limit is 0 or less if the limit is met. That of an objective row is its value.
-
-    `what` is the row's number in `Problem.kinds`. `own` is its gradient by the own parameters of its plant. Features
-    contain the data that are needed to find them again after a small change: `feature` is the kind (-1: none), `cell`,
-    `x`, `fixed`.
+    `excess_db` of a limit is at most 0 if the limit is met. For an objective it is the value itself. `what` is the
+    index in `Problem.kinds`. `own` is the gradient with respect to the own parameters of the plant. `feature` (the
+    kind, or -1 for none), `cell`, `x` and `fixed` are the data to find a feature again after a small change.
     """
 
     what: NDArray[np.int8]
-    plant: CurveIndices  # -1: of the law itself
-    value: Array  # in the limit's own unit: dB, deg, Hz, ratio
-    limit: Array  # nan: none of its own
+    plant: CurveIndices  # -1 for the law itself
+    value: Array  # in the unit of the limit: dB, deg, Hz, ratio
+    limit: Array  # nan for a row without a limit
     excess_db: Array
     objective: Mask
     own: Array
@@ -68,17 +66,17 @@ class ProblemRows:
 
     @property
     def keys(self) -> list[tuple[bool, int, int]]:
-        """Return for each row True if it is a limit, `what` and `plant`."""
+        """Return a key of each row: True for a limit, `what` and `plant`."""
         return list(zip((~self.objective).tolist(), self.what.tolist(), self.plant.tolist(), strict=True))
 
     @property
     def frequency_hz(self) -> Array:
-        """Return the frequencies, nan for rows without one."""
+        """Return the frequencies, with nan for rows that are independent of frequency."""
         return np.where(self.feature >= 0, np.exp(self.x), np.nan)
 
 
 def law_rows(what: int, of: LimitValues, objective: bool = False) -> ProblemRows:
-    """Return the rows of the law's limits, which are independent of frequency. One of them may be the objective."""
+    """Return the rows of the law's limits, which are independent of frequency. A limit may be the objective."""
     n = len(of.value)
     return ProblemRows(
         what=np.full(n, what, np.int8),
@@ -97,13 +95,13 @@ def law_rows(what: int, of: LimitValues, objective: bool = False) -> ProblemRows
 
 @dataclass(frozen=True)
 class ProblemAtPoint:
-    """The problem at a point. `gradient` (rows, variables) is that of the rows' excess."""
+    """The problem at a point. `gradient` (rows, variables) is the gradient of each row's excess."""
 
     variables: Array
     rows: ProblemRows
     gradient: Array
     objective_db: float
-    violation_db: float  # largest excess, 0 if every limit is met
+    violation_db: float  # largest excess of a limit, or 0 if every limit is met
     unstable: int  # unstable closed-loop poles over all plants
 
 
@@ -113,8 +111,7 @@ class Problem:
     def __init__(self, loops: Loops, bands: Bands, limits: PlantLimits, common: Limits, objective: Objective) -> None:
         """Set up the problem.
 
-        `limits` are those of each plant. `common` are those of the case, for quantities that do not depend on the
-        plant.
+        `limits` are those of each plant. `common` are the limits of the case that are equal for all plants.
         """
         self.loops, self.bands, self.limits, self.law = loops, bands, limits, loops.law
         self.lower, self.upper = self.law.lower, self.law.upper
@@ -135,24 +132,26 @@ class Problem:
         return len(self.lower)
 
     def matters_db(self, worse_db: float) -> Array:
-        """Return the excess from which a row matters at a plant outside the problem, (kinds,): MISSED_DB of a limit,
-        `worse_db` of the objective.
+        """Return the excess above which a row matters at a plant outside the problem, (kinds,).
+
+        It is MISSED_DB for a limit, and `worse_db` for the objective.
         """
         made_small = [k == 0 or getattr(kind, "objective", False) for k, kind in enumerate(self.kinds)]
         return np.where(made_small, worse_db, MISSED_DB)
 
     def what(self, text: str) -> int:
-        """Return the number of a limit in `kinds`, by its text."""
+        """Return the index in `kinds` of the limit with the given text."""
         return next(k for k, kind in enumerate(self.kinds) if kind.text == text and k > 0)
 
     def unstable_plants(self, variables: Array) -> CurveIndices:
-        """Return the numbers of the plants with an unstable closed loop."""
+        """Return the indices of the plants with an unstable closed loop."""
         return np.flatnonzero(self.loops.unstable_poles(self.loops.response(variables))).astype(np.int64)
 
     def evaluate(self, variables: Array, complete: bool = False) -> ProblemAtPoint:
         """Return the problem at a point.
 
-        `complete` includes rows that are met by a large margin. Raises ValueError for variables that are not finite.
+        `complete` includes rows that meet their limit by a large margin. Raises ValueError for variables that are not
+        finite, and for a problem without rows.
         """
         if not np.isfinite(variables).all():
             raise ValueError("variables are not finite")
@@ -186,7 +185,10 @@ class Problem:
         )
 
     def _feature_rows(self, seen: Seen, places: MeshPlaces, farthest_db: float) -> ProblemRows:
-        """Return the rows of features by all criteria, without those that are no limit or are met by a large margin."""
+        """Return the rows of features by all criteria.
+
+        Rows that meet their limit by more than `farthest_db` are omitted.
+        """
         kept: list[tuple[CurveIndices, int, JudgedFeatures]] = []
         for what, (criterion, asked) in enumerate(zip(self.criteria, self._asked, strict=True)):
             for part in criterion.parts(seen) if asked else ():
@@ -214,10 +216,11 @@ class Problem:
 
     # --- curvature
     def curvature(self, at: ProblemAtPoint, multipliers: Array, step: float = 1e-5) -> Array:
-        """Return the second derivatives (variables, variables) of the rows' sum weighted with `multipliers`.
+        """Return the second derivatives (variables, variables) of the sum of rows weighted with `multipliers`.
 
-        They are differences of the analytic gradient. A row depends on the own parameters of its plant only. Therefore,
-        those of all plants are moved at once, and the cost does not depend on the number of plants.
+        They are finite differences of the analytic gradient. A row depends only on the own parameters of its plant. The
+        own parameters of all plants are therefore changed at once, and the number of gradient evaluations is
+        independent of the number of plants.
         """
         law, n = self.law, self.law.own_size
         own = law.own(at.variables)
@@ -234,7 +237,10 @@ class Problem:
         return np.asarray(0.5 * (out + out.T))
 
     def _own_again(self, rows: ProblemRows, own: Array, moves: Array) -> Array:
-        """Return the gradients of the same rows by the own parameters, (moves, rows, own), after `moves` of these."""
+        """Return the gradients of the same rows with respect to the own parameters after `moves` of them.
+
+        The shape is (moves, rows, own).
+        """
         count = len(moves)
         out = np.repeat(rows.own[None], count, axis=0)
         i = np.flatnonzero(rows.feature >= 0)

@@ -1,8 +1,7 @@
-"""A solver for small dense convex quadratic programmes: primal-dual interior point with Mehrotra's predictor and
-corrector.
+"""A primal-dual interior-point solver for small, dense, convex quadratic programmes.
 
-SciPy has no such solver. With 36 unknowns and 115 rows, this one takes 0.7 ms and twelve iterations. Source: Nocedal &
-Wright, Numerical Optimization (2nd ed.), section 16.6.
+The method has Mehrotra's predictor and corrector. SciPy has no such solver. This one needs 0.7 ms and twelve iterations
+for 36 unknowns and 115 rows. Source: Nocedal & Wright, Numerical Optimization (2nd ed.), section 16.6.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ LEAST = -1e-300
 
 @dataclass(frozen=True)
 class QuadraticSolution:
-    """The solution point, and the multipliers of the rows and of the bounds (lower, upper), all 0 or more."""
+    """The solution point, and the multipliers of the rows and of the lower and upper bounds, all non-negative."""
 
     z: Array
     rows: Array
@@ -38,15 +37,15 @@ class QuadraticSolution:
 def solve_quadratic(
     quadratic: Array, linear: Array, rows: Array, right: Array, lower: Array, upper: Array, start: Array
 ) -> QuadraticSolution:
-    """Minimise z'Qz/2 + c'z subject to rows z <= right and lower <= z <= upper (infinite: no bound), with Q positive
-    semidefinite.
+    """Minimise z'Qz/2 + c'z subject to rows z <= right and lower <= z <= upper, with Q positive semidefinite.
 
-    `start` is that of the unknowns that are not bounded on both sides. The others start in the middle.
+    An infinite bound is absent. `start` applies to the unknowns that are not bounded on both sides. The others start in
+    the middle of their bounds.
     """
     below, above = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
     m, p, n = len(rows), len(below), len(start)
     limit = np.concatenate([right, -lower[below], upper[above]])
-    # all limits in one matrix: the additional rows cost less than a separate treatment of the bounds
+    # bounds are rows of one matrix, which costs less than a separate treatment
     every = np.zeros((len(limit), n))
     every[:m] = rows
     every[np.arange(m, m + p), below] = -1.0
@@ -61,7 +60,7 @@ def solve_quadratic(
         primal = every @ z + slack - limit
         gap = float(slack @ dual) / len(slack)
         worst = max(float(np.abs(stationarity).max()) / scale, float(np.abs(primal).max()))
-        # once the products are small, rounding errors undo the gain of another iteration
+        # with small products, rounding errors exceed the gain of another iteration
         if gap < TOLERANCE and (worst < TOLERANCE or gap < SPENT):
             converged = worst < SPENT_TOLERANCE
             break
@@ -70,7 +69,7 @@ def solve_quadratic(
         matrix = half @ half.T + quadratic
         matrix[diagonal] += RIDGE
         factor, fault = lapack.dpotrf(matrix, lower=1, clean=0)
-        if fault != 0:  # singular except for rounding errors
+        if fault != 0:  # numerically singular
             matrix[diagonal] *= 1.0 + RIDGE
             factor, fault = lapack.dpotrf(matrix, lower=1, clean=0)
             if fault != 0:
@@ -99,9 +98,10 @@ def solve_quadratic(
 def _start(
     every: Array, limit: Array, linear: Array, lower: Array, upper: Array, start: Array
 ) -> tuple[Array, Array, Array]:
-    """Return a start off every limit by a share of its range, and multipliers of the objective's size.
+    """Return a starting point inside every limit, with its slacks and multipliers.
 
-    Multipliers that begin much smaller than the gradient of a penalty need forty iterations to grow.
+    The distance from each limit is a fraction of its range. The multipliers have the size of the objective's gradient,
+    since much smaller ones would need forty iterations to grow.
     """
     both = np.isfinite(lower) & np.isfinite(upper)
     z, width = start.copy(), np.zeros(len(start))

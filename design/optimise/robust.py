@@ -1,17 +1,17 @@
-"""The optimisation of a design for many plants: for some at first, then with the worst others added, until none is
-worse.
+"""The optimisation of a design for many plants. The worst plants are added until none is worse than the design.
 
-The ranges of a case permit too many plants to use all: some twenty deviations each way at eleven operating points. A
-search at every point finds the worst plant for the present design. Plants that are worse than the worst of the design
-are added, and the design is repeated (a cutting-plane method: Blankenship & Falk, J. Optim. Theory Appl. 19, 1976).
-With `between_nodes = "hold"`, time is one more deviation. If no operating point has a worse plant, the plants of
-neighbouring points are tried at the instants between them. An instant that is worse becomes an operating point.
+The ranges of a case permit too many plants to use them all: some twenty deviations in both directions at eleven
+operating points. A search at every operating point finds the worst plant for the present design. Plants that are worse
+than the worst of the design are added, and the design is repeated (a cutting-plane method: Blankenship & Falk, J.
+Optim. Theory Appl. 19, 1976). With `between_nodes = "hold"`, time is one more parameter. If no operating point has a
+worse plant, the plants of neighbouring operating points are evaluated at the instants between them. An instant that is
+worse becomes an operating point.
 
-The search at an operating point has two parts. The first finds the loop nearest to -1 by the compiled margins, if these
+The search at an operating point has two parts. The first finds the loop nearest to -1 by the compiled margins, if they
 support the loop. It starts from several corners of the ranges, moves to a corner that no single deviation makes worse,
-and continues by a descent inside the ranges (descent.py). The second starts at the worst of that point and the same
-corners, and evaluates the objective and the limits of the case. It sets one deviation after the other to the end, or
-the middle, that is worst. It is omitted if none of these plants misses a limit, since the limits then give no
+and continues with a descent inside the ranges (descent.py). The second part evaluates the objective and the limits of
+the case. It starts from the worst of that point and the same corners, and sets one deviation after the other to the
+worst of both ends and the middle. It is omitted if none of these plants misses a limit, since the limits then give no
 direction.
 """
 
@@ -41,21 +41,21 @@ from maxq.design.optimise.search import BestPoint, SearchProgress, search
 from maxq.design.optimise.solution import Constraint, Solution
 from maxq.sim.campaign.read import LoadedCampaign
 
-WORSE_DB = 0.01  # plants with an objective that is worse by less are not added
+WORSE_DB = 0.01  # smallest excess of the objective for which a plant is added
 BEGINNINGS = 8
-INSTANTS_S, FINE_S = 0.5, 0.05  # apart, along the whole flight and next to the worst of those
-ROUNDS = 12  # more, if instants between the operating points are added too
-AT_ONCE = 100  # plants that are judged together
+INSTANTS_S, FINE_S = 0.5, 0.05  # spacing along the flight, and next to the worst instants
+ROUNDS = 12  # additional rounds if instants between the operating points are added
+AT_ONCE = 100  # plants per evaluation
 
 Deviation = tuple[float, ...]
-"""The deviation of each place, from one end of its range (-1) over the middle (0) to the other (+1)."""
+"""The deviations of a vehicle, each from -1 to +1 over its range, with 0 in the middle."""
 _SIGNS = {-1.0: "-", 0.0: "0", 1.0: "+"}
 _OF_POINT = re.compile(r"[-0+]|\(([^()]*)\)")
 
 
 @dataclasses.dataclass(frozen=True)
 class Ranges:
-    """The campaign whose draws deviate, and the distance of each end in sigma."""
+    """The campaign whose draws deviate, and the distance of the ends of each range from the middle, in sigma."""
 
     campaign: LoadedCampaign
     sigmas: float
@@ -76,7 +76,7 @@ def ranges_of(loaded: LoadedCase, nodes: Sequence[Node]) -> Ranges | None:
 
 
 def deviated(node: Node, ranges: Ranges, point: Sequence[float]) -> Node:
-    """Return the operating point with each deviation as `point` states, labelled like "[+0-(0.24)]"."""
+    """Return the operating point with the deviations `point`, labelled like "[+0-(0.24)]"."""
     letters = "".join(_SIGNS.get(at, f"({at:g})") for at in point)
     scores = np.array(point) * (ranges.sigmas / 3.0)
     return disperse(node, deviations_of(ranges.campaign, node).at(scores, f"[{letters}]"))
@@ -95,7 +95,7 @@ def dispersed_nodes(ranges: Ranges | None, nodes: Sequence[Node], constraints: I
 
 
 def modes_off(node: Node, ranges: Ranges, end: int) -> Deviation:
-    """Return all modes at one end of their frequency and the large one of their slope, the rest nominal."""
+    """Return the deviation with all modes at one end (`end`) of their frequency and at the upper end of their slope."""
     wanted = {"bending_frequency": float(end), "bending_slope": 1.0}
     return tuple(wanted.get(field, 0.0) for field in deviations_of(ranges.campaign, node).fields)
 
@@ -112,10 +112,10 @@ class _Worst:
     tried: int = 0
 
     def at(self, node: Node, taken: set[tuple[float, Deviation]]) -> tuple[float, Deviation]:
-        """Return the excess (dB) of the worst plant of an operating point over the design's objective or a limit, and
-        the plant.
+        """Return the worst plant at an operating point, preceded by its excess (dB).
 
-        The search also begins at the plants `taken` there and at the nearest operating points.
+        The excess is that over the objective or a limit of the design. The search also begins at the plants `taken` at
+        this and at the neighbouring operating points.
         """
         both = [modes_off(node, self.ranges, end) for end in (-1, 1)]
         count = len(both[0])
@@ -144,8 +144,9 @@ class _Worst:
         return score(best), tuple(best.tolist())
 
     def nearest(self, node: Node, corners: Sequence[Array]) -> list[Array]:
-        """Return the point at which the search from `corners` for the loop nearest to -1 ends, or none if the compiled
-        margins do not support the loop.
+        """Return the loop nearest to -1 in a search from `corners`, before and after the final descent.
+
+        The list is empty if the compiled margins do not support the loop.
         """
         if self.case.loop != "sampled" or not len(corners[0]):
             return []
@@ -174,9 +175,7 @@ class _Worst:
         return float(self.scores([make_plant(deviated(node, self.ranges, point), self.case, dispersed=True)])[0])
 
     def scores(self, each: Sequence[Plant]) -> Array:
-        """Return the excess (dB) of each plant over the design's objective or a limit, (plants,), or 0 if it does not
-        matter.
-        """
+        """Return the excess (dB) of each plant over the objective or a limit, (plants,), or 0 if it does not matter."""
         problem = make_problem(self.case, make_plants(each, COARSE), self.problem.law)
         there = problem.evaluate(self.found.best.variables, complete=True)
         rows, out = there.rows, np.zeros(len(each))
@@ -188,8 +187,9 @@ class _Worst:
         return out
 
     def between(self, instants: Instants, taken: set[tuple[float, Deviation]]) -> list[tuple[float, Node]]:
-        """Return the instants at which the nominal plant, or a plant of a neighbouring operating point, is worst and
-        matters.
+        """Return the worst instants between operating points, with their excess (dB) and operating point.
+
+        The plants are the nominal one and those of the neighbouring operating points.
         """
         times_s = sorted({t for t, _ in taken})
 
@@ -218,7 +218,7 @@ class _Worst:
 
 
 def points_beside(time_s: float, taken: set[tuple[float, Deviation]]) -> list[Deviation]:
-    """Return the plants of a time, and those of the nearest times before and after it."""
+    """Return the deviations that were taken at a time, and those at the nearest times before and after it."""
     times_s = sorted({t for t, _ in taken})
     first, last = np.searchsorted(times_s, time_s), np.searchsorted(times_s, time_s, side="right")
     beside = times_s[max(int(first) - 1, 0) : int(last) + 1]
@@ -228,7 +228,7 @@ def points_beside(time_s: float, taken: set[tuple[float, Deviation]]) -> list[De
 def solve_robust(
     loaded: LoadedCase, nominal: Plants, also_from: Sequence[DesignedLaw] = (), progress: SearchProgress | None = None
 ) -> Solution:
-    """Return the best design for the nominal plants and all that the case's ranges allow, as far as searched.
+    """Return the best design for the nominal plants and for the worst plants found in the ranges of the case.
 
     KeyboardInterrupt ends the search with the best design so far, marked as interrupted.
     """
@@ -253,7 +253,7 @@ def solve_robust(
     interrupted = found.interrupted
     rounds = case.robust.rounds + (0 if instants is None else ROUNDS)
     try:
-        for number in range(rounds + 1 if not interrupted else 0):  # the last one judges the last design
+        for number in range(rounds + 1 if not interrupted else 0):  # the last round assesses the last design
             worst = _Worst(case, ranges, problem, found, rng)
             results = []
             for k, node in enumerate(nodes):
@@ -277,7 +277,7 @@ def solve_robust(
             plants = plants.and_also([*(make_plant(node, case) for node in fresh), *dispersed(new)])
             problem = make_problem(case, plants, problem.law)
             found = _again(case, problem, found)
-            worst_db, instant_db = np.nan, np.nan  # the new design is unknown
+            worst_db, instant_db = np.nan, np.nan  # the new design has not been assessed
             if found.interrupted:
                 interrupted = True
                 break
@@ -296,9 +296,9 @@ def solve_robust(
 
 
 def _again(case: Case, problem: Problem, found: BestPoint) -> BestPoint:
-    """Return the design for more plants, from the design for fewer.
+    """Return the design for more plants, starting from the design for fewer plants.
 
-    If the earlier design met the limits and this one does not, further starts are used, too.
+    If the previous design met the limits and the new one does not, further starts are used.
     """
     again = search_on(case, problem, search(problem, [found.best.variables]), also_settled=found.feasible)
     return dataclasses.replace(

@@ -1,11 +1,11 @@
 """The search from many starts for one optimum, with measures of its reliability.
 
-Descents from all starts are rough at first, with fewer variables if the law has a simpler form. With PD, this form has
-gains linear in time, since the filter decides to which optimum a start leads. All starts that end at the same optimum
-are one candidate. Each candidate that can still win is then optimised to convergence with all its variables. From the
-best point, part of the variables is moved far away at random, and the descent is repeated. Some of these steps find a
-better optimum nearby. If the others return to the best point, this is the strongest evidence that no better one exists.
-Newton's method refines the best point.
+Descents from all starts are rough at first, with fewer variables if the law has a simpler form. For PD, this form has
+gains linear in time, since the filter determines the optimum to which a start leads. All starts that end at the same
+optimum are one candidate. Each candidate that may be the best is then optimised to convergence with all its variables.
+From the best point, some of the variables are moved far away at random, and the descent is repeated. Some of these
+steps find a better optimum nearby. If the others return to the best point, this is the strongest evidence that no
+better one exists. Newton's method refines the best point.
 """
 
 from __future__ import annotations
@@ -23,19 +23,20 @@ from maxq.design.optimise.sqp import MET_DB, Optimality, descend, optimality, po
 
 ROUGH_STEPS, ROUGH_DB = 40, 1e-3
 FINE_STEPS, FINE_DB = 150, 1e-8
-SAME_DB = 0.02  # ends that differ by less belong to one optimum
-HOPELESS_DB = 3.0  # candidates that are worse by more stay rough
+SAME_DB = 0.02  # ends with a smaller difference belong to one optimum
+HOPELESS_DB = 3.0  # candidates that are worse by more are not continued
 MOST_CANDIDATES = 3
 NEAR_DB = 0.05
-PATIENCE = 10  # steps after which an unstable start is abandoned; twice as many for one that is far behind
+PATIENCE = 10  # steps after which an unstable start is abandoned; twice this number for a start that is far behind
 FAR_MISSED_DB, FAR_BEHIND_DB = 0.3, 4.0
-FURTHER_DB = 0.002  # a rough end of a random step that is better by more is a better optimum
-UNSETTLED = 1e-3  # residual of the optimality conditions of a best effort from which a further search is promising
+FURTHER_DB = 0.002  # least improvement by a random step that indicates a better optimum
+UNSETTLED = 1e-3  # residual of the optimality conditions above which a further search from a best effort is promising
 
 SearchProgress = Callable[[int, int, float, str], None]
-"""A function that is called with the steps done, the total, the best objective so far in dB (nan: none), and the
-kind. The kind is "starts", "leaps", or of a robust case "worst plants, round 1" (the best for fewer plants is not
-that for more).
+"""A function that is called with the completed steps, the total, the best objective so far (dB or nan), and the kind.
+
+The kind is "starts" or "leaps", or for a robust case "worst plants, round 1". The best objective applies to the plants
+of the present round.
 """
 
 
@@ -43,18 +44,17 @@ that for more).
 class BestPoint:
     """The best point and the evidence for it.
 
-    `ends_db` contains the end of each start, nan without a stable design there.
-
-    An infeasible best point is that of the least violation, and `optimality` is that of the violation.
+    `ends_db` contains the objective at the end of each start, and nan where no stable design was found. An infeasible
+    best point has the least violation, and its `optimality` is that of the violation.
     """
 
     best: ProblemAtPoint
     optimality: Optimality
     feasible: bool
-    ends_db: Array  # without leaps
+    ends_db: Array  # of starts, without leaps
     evaluations: int
     interrupted: bool
-    leaps_db: Array  # the end of each random step, likewise
+    leaps_db: Array  # objective at the end of each random step, or nan
 
     @property
     def settled(self) -> bool:
@@ -63,12 +63,12 @@ class BestPoint:
 
     @property
     def near_best(self) -> int:
-        """Return the number of starts that ended within NEAR_DB of the best."""
+        """Return the number of starts that ended within NEAR_DB of the best point."""
         return int((self.ends_db <= self.best.objective_db + NEAR_DB).sum())
 
     @property
     def leaps_back(self) -> int:
-        """Return the number of random steps that ended within NEAR_DB of the best."""
+        """Return the number of random steps that ended within NEAR_DB of the best point."""
         return int((self.leaps_db <= self.best.objective_db + NEAR_DB).sum())
 
 
@@ -81,19 +81,17 @@ def search(
     leaps: int = 0,
     seed: int = 0,
 ) -> BestPoint:
-    """Search from `starts` of the problem itself, and from `starts_of_rough` of a smaller problem whose ends are
-    converted.
+    """Search from `starts` of the problem, and from `starts_of_rough` of a smaller problem.
 
-    `leaps` random steps from the best candidate may find a better one nearby.
-
-    `rough` is that smaller problem and the conversion of its variables to those of the problem. KeyboardInterrupt ends
-    the search, and the best point so far is returned. It is raised again if there is none yet.
+    `rough` is the smaller problem and the conversion of its variables to those of the problem. `leaps` random steps
+    from the best candidate may find a better optimum nearby. KeyboardInterrupt ends the search, and the best point so
+    far is returned. It is raised again if there is no point yet.
     """
     interrupted = False
     small, lift = rough if rough is not None else (problem, lambda x: x)
     total = len(starts) + len(starts_of_rough) + leaps
     before = problem.evaluations + (small.evaluations if small is not problem else 0)
-    ends: list[tuple[ProblemAtPoint, Array]] = []  # rough end, and the start that it gives the problem
+    ends: list[tuple[ProblemAtPoint, Array]] = []  # rough end, and the corresponding start of the problem
     best_db = np.nan
     try:
         for where, given, to in ((problem, starts, None), (small, starts_of_rough, lift)):
@@ -115,7 +113,7 @@ def search(
     fine: dict[int, ProblemAtPoint] = {}
     leaps_db: list[float] = []
     leapt: ProblemAtPoint | None = None
-    # separately: equal ends with all variables and with few belong to different optima
+    # treated separately, since equal ends with all and with few variables belong to different optima
     own = min(len(starts), len(ends))
     candidates = [*_candidates([end for end, _ in ends[:own]])]
     candidates += [own + k for k in _candidates([end for end, _ in ends[own:]])]
@@ -138,13 +136,11 @@ def search(
 
 
 def _mended(problem: Problem, at: ProblemAtPoint) -> ProblemAtPoint | None:
-    """Return the end of a descent from an unstable point, with the gains of its lost plants interpolated from their
-    neighbours.
+    """Return the end of a descent from an unstable point after its gains at unstable plants have been interpolated.
 
-    Return None if this makes no loop stable.
-
-    The rows of an unstable loop lead away from -1 on the wrong side. Then a plant that has its own gains is lost, while
-    all others end well.
+    The gains are interpolated from those of neighbouring plants. Returns None if this makes no loop stable. The rows of
+    an unstable loop lead away from -1 on the wrong side. A plant with gains of its own then remains unstable, while all
+    other plants reach a good end.
     """
     found = None
     while at.unstable > 0:
@@ -159,8 +155,9 @@ def _mended(problem: Problem, at: ProblemAtPoint) -> ProblemAtPoint | None:
 
 
 def _leapt(problem: Problem, best: ProblemAtPoint, leaps: int, seed: int) -> Iterator[tuple[ProblemAtPoint, float]]:
-    """Return the best end so far after each random step from it, and the end of each step, dB (nan: no stable design
-    there).
+    """Yield the best end so far after each random step from it, and the objective at the end of that step, dB.
+
+    The objective is nan if no stable design was found.
     """
     rng = np.random.default_rng(seed)
     for number in range(leaps):
@@ -194,7 +191,7 @@ def _answer(
         quality = optimality(problem, best, worst_violation=not feasible)
     ends_db = np.array([end.objective_db if _feasible(end, 1e-3) else np.nan for end, _ in ends])
     rough_db = ends_db.copy()
-    for k, end in fine.items():  # a start at the same optimum would have reached the same end
+    for k, end in fine.items():  # other starts at the same optimum would reach the same end
         if _feasible(end, 10.0 * MET_DB):
             same = (np.abs(rough_db - rough_db[k]) <= SAME_DB) & ((np.arange(len(ends)) < own) == (k < own))
             ends_db[same] = np.fmin(ends_db[same], end.objective_db)
@@ -202,7 +199,7 @@ def _answer(
 
 
 def _hopeless(best_db: float, steps: int, at: ProblemAtPoint) -> bool:
-    """Return True if a start should be abandoned: it is still unstable, or far behind the best known value."""
+    """Return True if a start should be abandoned because it is still unstable or far behind the best value."""
     if steps < PATIENCE:
         return False
     behind = not np.isnan(best_db) and (at.violation_db > FAR_MISSED_DB or at.objective_db > best_db + FAR_BEHIND_DB)
@@ -214,13 +211,13 @@ def _feasible(at: ProblemAtPoint, tolerance_db: float) -> bool:
 
 
 def _rank(at: ProblemAtPoint) -> tuple[int, float, float]:
-    """Return the key of the ranking: stable before unstable, met before violated, then the objective."""
+    """Return the sort key of a point: stable before unstable, limits met before violated, then by the objective."""
     violation = 0.0 if at.violation_db <= 10.0 * MET_DB else at.violation_db
     return at.unstable, violation, at.objective_db
 
 
 def _candidates(ends: Sequence[ProblemAtPoint]) -> list[int]:
-    """Return the numbers of ends worth continuing from, the best first, one for each optimum."""
+    """Return the indices of ends that are worth continuing, the best first, with one end for each optimum."""
     order = sorted(
         range(len(ends)), key=lambda k: (ends[k].unstable, max(ends[k].violation_db - 1e-3, 0.0), ends[k].objective_db)
     )

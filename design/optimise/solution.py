@@ -20,17 +20,18 @@ from maxq.design.optimise.search import BestPoint
 
 Status = Literal["optimal", "infeasible", "interrupted"]
 ACTIVE_DB = 1e-4
-MET_DB = 1e-6  # a limit that is missed by less is met
+MET_DB = 1e-6  # largest violation that counts as met
 EITHER_WAY = ("gain margin", "phase margin")
-"""The limits whose values have a sign that gives the side of -1."""
+"""The limits whose values have a sign for the side of -1."""
 
 
 @dataclass(frozen=True)
 class Constraint:
-    """The worst case of one limit at one plant (`plant` None: of the law itself). `value` and `limit` are in `unit`.
+    """The worst case of one limit at one plant, or of the law itself if `plant` is None.
 
-    `excess_db` > 0 is a violation. `multiplier` is the change of the objective in dB per dB by which the limit is
-    moved. For an infeasible design, it is the limit's share in the conflict.
+    `value` and `limit` are in `unit`. A positive `excess_db` is a violation. `multiplier` is the change of the
+    objective in dB per dB by which the limit is moved. For an infeasible design, it is the limit's share in the
+    conflict.
     """
 
     what: str
@@ -50,8 +51,8 @@ class Constraint:
 class ActiveBound:
     """A variable at its bound `value` (Hz, ratio or gain).
 
-    `multiplier` is the improvement in dB if the bound is moved by one unit (of ln Hz, of ln gain, of damping ratio or
-    weight). It applies to the objective, or to the least violation of an infeasible design.
+    `multiplier` is the improvement in dB if the bound is moved by one unit (of ln Hz, ln gain, damping ratio or
+    weight). The improvement is that of the objective, or of the violation of an infeasible design.
     """
 
     variable: str
@@ -61,14 +62,12 @@ class ActiveBound:
 
     @property
     def _unit(self) -> tuple[float, str]:
-        """Return the units of the variable in the change to which `price_db` refers, and that change in words."""
+        """Return the change of the variable to which `price_db` refers, and its name."""
         return (math.log(2.0), "octave") if is_logarithmic(self.variable) else (0.1, "0.1")
 
     @property
     def price_db(self) -> float:
-        """Return the improvement in dB if the bound is moved: by an octave of a frequency or a gain, by 0.1 of
-        others.
-        """
+        """Return the improvement in dB if the bound is moved by an octave (frequencies, gains) or by 0.1 (others)."""
         return self._unit[0] * self.multiplier
 
     @property
@@ -86,25 +85,24 @@ def is_logarithmic(variable: str) -> bool:
 
 @dataclass(frozen=True)
 class Trial:
-    """A short search from the best effort of an infeasible case with one change.
+    """A short search from the best effort of an infeasible case, with one change.
 
-    It claims only the violation that it reached.
-
-    `settings` is the change as keys of the case, or of the vehicle. The value `missing_db` is the least violation
-    reached, 0 if all limits are met. `problem` is the reason for which the change could not be tried.
+    A trial reports only the violation that it reached. `settings` is the change as keys of the case or of the vehicle.
+    `missing_db` is the least violation reached, or 0 if all limits are met. `problem` is the reason why a change could
+    not be tried.
     """
 
     change: str
     settings: tuple[str, ...]
     missing_db: float
-    unstable: int  # closed-loop poles
+    unstable: int  # unstable closed-loop poles
     evaluations: int
     interrupted: bool = False
     problem: str = ""
 
     @property
     def text(self) -> str:
-        """Return the change and the violation that was reached as text."""
+        """Return the change and the violation reached as text."""
         if self.problem:
             return f"{self.change}: not tried, {self.problem}"
         reached = "meets all limits" if self.missing_db <= MET_DB else f"reached {self.missing_db:.3g} dB missing"
@@ -114,10 +112,10 @@ class Trial:
 
 @dataclass(frozen=True)
 class Certificate:
-    """The certainty of the optimum. `near_best` of `starts` ended within 0.05 dB of it.
+    """The evidence for the optimum: `near_best` of `starts` ended within 0.05 dB of it.
 
-    For `kkt_residual`, see `Optimality`. `stable` is determined by the closed loops' poles, not by the argument
-    principle that the optimiser uses.
+    `kkt_residual` is defined in `Optimality`. `stable` is derived from the poles of the closed loops, not from the
+    argument principle that the optimiser uses.
     """
 
     starts: int
@@ -128,16 +126,16 @@ class Certificate:
     seconds: float
     seed: int
     stable: bool
-    plants: int  # for which the design was made
-    searched: int = 0  # dispersed plants that were tried in addition, in search of the worst
-    worst_found_db: float = 0.0  # excess of the worst of those over the objective or a limit; nan: not searched
-    instants: int = 0  # at which this design was compared with its worst node; 0: at none
-    worst_instant_db: float = 0.0  # excess of the worst of those over the worst node
-    leaps: int = 0  # random steps from the best end, followed by another descent
-    leaps_back: int = 0  # of these ended within 0.05 dB of the best
+    plants: int  # plants of the problem
+    searched: int = 0  # further dispersed plants in the search for the worst
+    worst_found_db: float = 0.0  # excess of the worst of them over the objective or a limit; nan without a search
+    instants: int = 0  # instants at which this design was compared with its worst node
+    worst_instant_db: float = 0.0  # excess of the worst instant over the worst node
+    leaps: int = 0  # random steps from the best end, each followed by a descent
+    leaps_back: int = 0  # number of them that ended within 0.05 dB of the best
 
     def statement(self) -> str:
-        """Return the evidence for the optimum in words."""
+        """Return the evidence for the optimum as text."""
         text = f"{self.near_best} of {self.starts} starts"
         if self.leaps > 0:
             text += f" and {self.leaps_back} of {self.leaps} leaps from the best"
@@ -148,7 +146,7 @@ class Certificate:
 class Solution:
     """A design for a case.
 
-    `objective_db` is the minimised objective of the case (`criteria.OBJECTIVES`), over all plants.
+    `objective_db` is the minimised objective of the case (`criteria.OBJECTIVES`) over all plants.
     """
 
     case: Case
@@ -162,7 +160,7 @@ class Solution:
     variables: Array
     nominal_objective_db: float  # over the nominal plants alone
     nodes: tuple[OperatingPoint, ...]  # of the nominal plants
-    stable_without: tuple[str, ...] = ()  # limits, if no design is stable: a design is stable without any one of these
+    stable_without: tuple[str, ...] = ()  # if no design is stable: limits of which each, omitted alone, permits one
     trials: tuple[Trial, ...] = ()  # from an infeasible design
 
     @property
@@ -172,7 +170,7 @@ class Solution:
 
     @property
     def unchecked(self) -> str:
-        """Return the requirements of the case at which this design was not checked, or "" if all were checked."""
+        """Return the requirements of the case that were not checked, as text, or "" if there are none."""
         found = []
         if self.case.between_nodes == "hold" and self.certificate.instants == 0:
             found.append("the instants between them were not checked")
@@ -182,7 +180,7 @@ class Solution:
 
     @property
     def met(self) -> str:
-        """Return where a feasible design meets its limits: "all limits met at its 11 operating points"."""
+        """Return where a feasible design meets its limits, such as "all limits met at its 11 operating points"."""
         if self.unchecked:
             return f"limits met at the operating points; {self.unchecked}"
         count = len(self.nodes)
@@ -191,14 +189,14 @@ class Solution:
 
     @property
     def in_the_way(self) -> tuple[Constraint, ...]:
-        """Return the limits that conflict in an infeasible design, the one with the largest part first."""
+        """Return the limits that conflict in an infeasible design, in decreasing order of their share."""
         if self.feasible:
             return ()
         blamed = [c for c in self.constraints if c.excess_db > MET_DB and c.limit is not None]
         return tuple(sorted(blamed, key=lambda c: (-c.multiplier, -c.excess_db)))
 
     def explanation(self) -> str:
-        """Return one sentence about an infeasible design, or "" for a feasible one."""
+        """Return a sentence that explains an infeasible design, or "" for a feasible one."""
         if self.feasible:
             return ""
         alone = " or ".join(f"limits.{name}" for name in self.stable_without)
@@ -208,7 +206,7 @@ class Solution:
         parts, by_limit = [], defaultdict(list)
         for c in self.in_the_way:
             by_limit[c.what].append(c)
-        for what, missed in by_limit.items():  # each limit once, at its largest part in the conflict
+        for what, missed in by_limit.items():  # each limit once, at its largest share in the conflict
             c, others = missed[0], len(missed) - 1
             where = f" at {c.plant}" if c.plant is not None else ""
             where += f" and {others} more" if others else ""
@@ -223,7 +221,10 @@ class Solution:
 def make_solution(
     case: Case, plants: Plants, problem: Problem, found: BestPoint, seconds: float, stable: bool
 ) -> Solution:
-    """Return the solution at the best point of a search."""
+    """Return the solution at the best point of a search.
+
+    `seconds` is the duration of the search, and `stable` the result of the check by poles.
+    """
     full, names = problem.evaluate(found.best.variables, complete=True), problem.law.names
     status: Status = "interrupted" if found.interrupted else "optimal" if found.feasible and stable else "infeasible"
     peak = full.rows.objective & ~np.array([plants.each[p].dispersed for p in full.rows.plant])
@@ -278,7 +279,7 @@ def _constraints(plants: Plants, problem: Problem, found: BestPoint, full: Probl
     for key, r in sorted(worst.items()):
         is_limit, what, p = key
         kind, plant = problem.kinds[what], plants.each[p] if p >= 0 else None
-        # near the cross without crossing it: an approach, not a margin
+        # a turn near the cross is an approach and not a margin
         approach = int(rows.feature[r]) in (FeatureKind.GAIN_TURN, FeatureKind.PHASE_TURN)
         active = rows.excess_db[r] > (0.0 if is_limit else full.objective_db) - ACTIVE_DB
         frequency = float(rows.frequency_hz[r])

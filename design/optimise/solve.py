@@ -1,4 +1,4 @@
-"""The solution of a case: its stages, and the method that its robustness and the time between its nodes require."""
+"""The solution of a case: its stages, and the method that robustness and the time between nodes require."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from maxq.sim.scenario.schema_design import Design
 def each_stage(loaded: LoadedCase, before_s: float = math.inf) -> list[LoadedCase]:
     """Return the case of each stage to be designed, with its operating points.
 
-    `before_s` is the time of the loss of the flight; the case's own times from then on are omitted. Raises ValueError
-    if no operating point remains.
+    `before_s` is the time of the loss of the flight; later times of the case are omitted. Raises ValueError if no
+    operating point remains.
     """
     case = loaded.case
     if loaded.points is not None:
@@ -43,7 +43,7 @@ def each_stage(loaded: LoadedCase, before_s: float = math.inf) -> list[LoadedCas
     spans = powered_spans(loaded.along)
     by_stage: dict[int, list[float]] = {}
     for t in times:
-        # a time outside all spans is assigned to the first, and its operating point states the error
+        # a time outside all spans is assigned to the first stage, whose operating point reports the error
         by_stage.setdefault(next((s.stage for s in spans if s.holds(t)), spans[0].stage if spans else 0), []).append(t)
     chosen = sorted(by_stage if wanted is None else wanted & set(by_stage))
     if not chosen:
@@ -52,9 +52,9 @@ def each_stage(loaded: LoadedCase, before_s: float = math.inf) -> list[LoadedCas
 
 
 def nominal_plants(loaded: LoadedCase) -> Plants:
-    """Return the plants at the operating points of a case of one stage.
+    """Return the plants at the operating points of a case with one stage.
 
-    Raises ValueError, naming the point, if there is none.
+    Raises ValueError, with the operating point, if a plant does not exist.
     """
     return make_plants([make_plant(node, loaded.case) for node in nodes_of(loaded, loaded.case.times_s)])
 
@@ -67,12 +67,12 @@ def solve(
 ) -> Solution:
     """Return the best design found for a case.
 
-    `plants` are passed if they exist already. `also_from` contains laws of similar cases as additional starts. If their
-    filters have a lower order, or their gains less freedom, they guarantee a result that is no worse. Raises ValueError
-    for a case without a problem (no such operating point, no first mode), and KeyboardInterrupt if nothing is found
-    yet.
+    `plants` replaces the nominal plants of the case. `also_from` contains laws of similar cases as additional starts.
+    If their filters have a lower order, or their gains less freedom, the result is guaranteed to be no worse. Raises
+    ValueError for a case without a problem (no such operating point, no first mode). Raises KeyboardInterrupt if no
+    point has been found yet.
     """
-    # with matrices of forty rows, threads of the linear-algebra library only block each other: twice the CPU time
+    # for matrices of forty rows, threads of the linear-algebra library double the CPU time
     with threadpool_limits(limits=1, user_api="blas"):
         plants = nominal_plants(loaded) if plants is None else plants
         if loaded.start is not None:

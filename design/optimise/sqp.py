@@ -1,22 +1,22 @@
-"""The descent from one start to a local optimum: sequential quadratic programming for minimax problems within a trust
-region.
+"""The descent from one start to a local optimum, by sequential quadratic programming in a trust region.
 
-Newton's method on the active rows completes it and gives the residual of the optimality conditions.
+The method solves minimax problems. Newton's method on the active rows completes the descent and gives the residual of
+the optimality conditions.
 
-Each step minimises t + penalty v + d'Bd/2 with every linearised peak of the objective at most t and every other excess
-at most v >= 0. B is the matrix of the Lagrangian's second derivatives made positive semidefinite. If rows curve so much
-that the step gains little, the step is repeated once with the rows as evaluated at the trial point (second-order
-correction). Without it, the penalty on a curved limit makes steps very short (Maratos' effect). A step is accepted only
-for its effect on the real problem. All peaks and crossings are found and solved for again, and the closed loop must
-stay stable.
+Each step minimises t + penalty v + d'Bd/2, with every linearised peak of the objective at most t and every other excess
+at most v >= 0. B is the matrix of the Lagrangian's second derivatives, made positive semidefinite. If curved rows
+reduce the gain of a step, the step is repeated once with the rows as evaluated at the trial point (second-order
+correction). Without it, the penalty on a curved limit makes steps very short (Maratos effect). A step is accepted only
+for its effect on the real problem. All peaks and crossings are solved for again, and the closed loop must remain
+stable.
 
 Linear programmes alone (B = 0) converge slowly wherever fewer rows are active than there are variables. From one start
-of F6 with free gains, they had reached -10.4 dB after 120 steps; this method reached -13.4 dB after 29.
+of F6 with free gains, they reached -10.4 dB after 120 steps, compared with -13.4 dB after 29 steps of this method.
 
-A general solver is not suitable, because peaks and crossings appear and vanish with the variables. The rows are
-therefore not a fixed set of functions, as SLSQP and IPOPT assume, and a step into instability must be rejected. Only
-searches without gradients were compared. In 20 to 300 s of processor time, differential evolution and CMA-ES found
-nothing better than this method in 0.6 to 2 s (docs/performance.md, tools/dev/bench/optimise.py).
+General solvers such as SLSQP and IPOPT assume a fixed set of functions. They are not suitable, because peaks and
+crossings appear and vanish with the variables, and because a step into instability must be rejected. Only searches
+without gradients were compared. In 20 to 300 s of processor time, differential evolution and CMA-ES found nothing
+better than this method in 0.6 to 2 s (docs/performance.md, tools/dev/bench/optimise.py).
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ LARGEST_RADIUS = 1.0
 LEAST_RADIUS = 1e-9
 FIRST_PENALTY = 100.0
 LARGEST_PENALTY = 1e4
-RIDGE = 1e-2  # dB per unit of a variable squared: variables without effect keep their values
-MET_DB = 1e-7  # a limit that is violated by less is met
+RIDGE = 1e-2  # dB per unit of a variable squared; keeps the values of variables without effect
+MET_DB = 1e-7  # largest violation that counts as met
 ACTIVE_DB = 1e-5
 AT_BOUND = 1e-9
-LEAST_CURVATURE = 1e-3  # dB per unit of a variable squared; less counts as flat
-WEIGHT = 10.0  # of the equation that the leading rows' multipliers sum to 1
+LEAST_CURVATURE = 1e-3  # dB per unit of a variable squared; smaller curvature counts as flat
+WEIGHT = 10.0  # weight of the equation that the leading rows' multipliers sum to 1
 
 
 @dataclass(frozen=True)
 class Step:
-    """The solution of the model: step, predicted merit, multipliers of the rows."""
+    """The solution of the model: step, predicted merit, and multipliers of the rows."""
 
     change: Array
     merit: float
@@ -58,8 +58,9 @@ class Step:
 
 @dataclass(frozen=True)
 class Merit:
-    """The merit that a step must lower: weights of the objective (0: only the limits count) and of the largest
-    excess.
+    """The merit that a step must lower: the weights of the objective and of the largest excess.
+
+    An `objective` weight of 0 considers the limits only.
     """
 
     objective: float
@@ -68,7 +69,7 @@ class Merit:
     def of(self, at: ProblemAtPoint) -> float:
         """Return the merit of a point.
 
-        Unstable points are worse than any stable one; fewer unstable poles are better.
+        Unstable points are worse than any stable point, and more unstable poles are worse than fewer.
         """
         value = self.objective * at.objective_db + self.penalty * at.violation_db
         return value + 1e7 * at.unstable
@@ -77,9 +78,9 @@ class Merit:
 def model_step(
     problem: Problem, at: ProblemAtPoint, curvature: Array, radius: float, merit: Merit, excess_db: Array | None = None
 ) -> Step:
-    """Return the best step within |d| <= radius for a positive semidefinite `curvature`.
+    """Return the best step of the model with |d| <= radius, for a positive semidefinite `curvature`.
 
-    `excess_db` replaces that of the rows, for a second-order correction.
+    `excess_db` replaces the excess of the rows, for a second-order correction.
     """
     rows, n = at.rows, problem.size
     excess_db = rows.excess_db if excess_db is None else excess_db
@@ -87,7 +88,7 @@ def model_step(
     a[:, :n] = at.gradient
     a[rows.objective, n] = -1.0
     a[~rows.objective, n + 1] = -1.0
-    # t counts from the present objective
+    # t is relative to the present objective
     right = np.where(rows.objective, at.objective_db, 0.0) - excess_db
     linear = np.zeros(n + 2)
     linear[n], linear[n + 1] = max(merit.objective, 1e-9), merit.penalty
@@ -113,11 +114,10 @@ def descend(
     limits_only: bool = False,
     give_up: Callable[[int, ProblemAtPoint], bool] | None = None,
 ) -> ProblemAtPoint:
-    """Descend from a start until no step promises `tolerance_db`, or until `give_up` stops it after a number of steps.
+    """Return the end point of a descent from a start.
 
-    Return the end point.
-
-    `limits_only` lowers the largest excess and ignores the objective.
+    The descent ends after `most` steps, if no step is predicted to gain `tolerance_db`, or if `give_up` returns True
+    for the number of steps and the point. `limits_only` lowers the largest excess and ignores the objective.
     """
     at = problem.evaluate(np.clip(start, problem.lower, problem.upper))
     merit = Merit(0.0, 1.0) if limits_only else Merit(1.0, FIRST_PENALTY)
@@ -150,8 +150,9 @@ def descend(
 def _step(
     problem: Problem, at: ProblemAtPoint, curvature: Array, radius: float, merit: Merit, tolerance_db: float
 ) -> tuple[Step, ProblemAtPoint, float] | None:
-    """Return the model's step, the point at its end and the next radius, or None if the model predicts no
-    improvement.
+    """Return the step of the model, the point at its end and the next radius.
+
+    Returns None if the model predicts no improvement.
     """
     before = merit.of(at)
     while True:
@@ -180,8 +181,9 @@ def _moved(problem: Problem, at: ProblemAtPoint, change: Array) -> ProblemAtPoin
 def counterparts(
     before: ProblemAtPoint, after: ProblemAtPoint, which: CurveIndices
 ) -> tuple[CurveIndices, CurveIndices]:
-    """Return the rows number `which` of one point, and the rows of another that are the same feature, nearest in
-    frequency.
+    """Return the rows among `which` of one point that exist at another point, and the corresponding rows there.
+
+    Rows correspond if they are the same feature of the same plant, nearest in frequency.
     """
     a, b = before.rows, after.rows
     key_a, key_b = (((r.plant + 1) * 64 + r.what) * 16 + r.feature + 1 for r in (a, b))
@@ -199,7 +201,7 @@ def counterparts(
 
 
 def _corrected_excess(at: ProblemAtPoint, trial: ProblemAtPoint, change: Array) -> Array:
-    """Return the excess of the rows with which the linear model agrees with the trial point."""
+    """Return the excess of the rows for which the linear model agrees with the trial point."""
     out = at.rows.excess_db.copy()
     mine, theirs = counterparts(at, trial, np.arange(len(at.rows), dtype=np.int64))
     out[mine] = trial.rows.excess_db[theirs] - at.gradient[mine] @ change
@@ -207,7 +209,7 @@ def _corrected_excess(at: ProblemAtPoint, trial: ProblemAtPoint, change: Array) 
 
 
 def matched(multipliers: Array, before: ProblemAtPoint, after: ProblemAtPoint) -> Array:
-    """Return the multipliers for the rows at another point."""
+    """Return the multipliers transferred to the rows of another point."""
     out = np.zeros(len(after.rows))
     mine, theirs = counterparts(before, after, np.flatnonzero(multipliers > 1e-7).astype(np.int64))
     for i, j in zip(mine, theirs, strict=True):
@@ -219,8 +221,8 @@ def matched(multipliers: Array, before: ProblemAtPoint, after: ProblemAtPoint) -
 class Optimality:
     """The Karush-Kuhn-Tucker conditions at a point, with the multipliers that satisfy them best.
 
-    `residual` is the largest component of the sum of multipliers times gradients and of the bounds' multipliers,
-    relative to the largest component of any active gradient. The objective's multipliers have the sum 1.
+    `residual` is the largest component of the sum of multipliers times gradients, including those of the bounds. It is
+    relative to the largest component of any active gradient. The multipliers of the objective sum to 1.
     """
 
     multipliers: Array  # (rows,)
@@ -230,9 +232,10 @@ class Optimality:
 
 
 def optimality(problem: Problem, at: ProblemAtPoint, worst_violation: bool = False) -> Optimality:
-    """Return the multipliers of a point by non-negative least squares. Without a leading row, the residual is infinite.
+    """Return the multipliers of a point, by non-negative least squares.
 
-    `worst_violation` selects the problem whose objective is the largest excess.
+    Without a leading row, the residual is infinite. `worst_violation` selects the problem with the largest excess as
+    its objective.
     """
     rows, n = at.rows, problem.size
     if worst_violation:
@@ -241,14 +244,14 @@ def optimality(problem: Problem, at: ProblemAtPoint, worst_violation: bool = Fal
         leads = rows.objective & (rows.excess_db > at.objective_db - ACTIVE_DB)
         others = ~rows.objective & (rows.excess_db > -ACTIVE_DB)
     lead, other = np.flatnonzero(leads), np.flatnonzero(others)
-    if not len(lead):  # as at an unstable point (SciPy's nnls ends the process on a matrix without columns)
+    if not len(lead):  # as at an unstable point; SciPy's nnls crashes on a matrix without columns
         return Optimality(np.zeros(len(rows)), np.zeros(n), np.zeros(n), math.inf)
     low = np.flatnonzero(at.variables <= problem.lower + AT_BOUND)
     high = np.flatnonzero(at.variables >= problem.upper - AT_BOUND)
     gradients = at.gradient[np.concatenate([lead, other])]
     scale = max(float(np.abs(gradients).max(initial=0.0)), 1e-12)
     columns = np.concatenate([gradients / scale, -np.eye(n)[low], np.eye(n)[high]])
-    # the last equation, weighted so that it holds: the leading rows' multipliers sum to 1
+    # the last equation, with a high weight: the leading rows' multipliers sum to 1
     sums = np.zeros(len(columns))
     sums[: len(lead)] = WEIGHT
     system = np.vstack([columns.T, sums])
@@ -264,7 +267,10 @@ def optimality(problem: Problem, at: ProblemAtPoint, worst_violation: bool = Fal
 
 
 def polished(problem: Problem, at: ProblemAtPoint, most: int = 6) -> tuple[ProblemAtPoint, Optimality]:
-    """Make Newton steps as long as they lower the residual and meet the limits."""
+    """Improve a point by at most `most` Newton steps that lower the residual and meet the limits.
+
+    Returns the point and its optimality.
+    """
     best, quality = at, optimality(problem, at)
     for _ in range(most):
         if quality.residual < 1e-11:
@@ -285,7 +291,10 @@ def polished(problem: Problem, at: ProblemAtPoint, most: int = 6) -> tuple[Probl
 
 
 def _newton(problem: Problem, at: ProblemAtPoint, quality: Optimality) -> Array | None:
-    """Step to the point at which the active rows hold with equality and the Lagrangian is stationary."""
+    """Return the step to the point at which the active rows hold with equality and the Lagrangian is stationary.
+
+    Returns None without active rows.
+    """
     active = np.flatnonzero(quality.multipliers > 1e-9)
     free = np.flatnonzero((quality.lower <= 0.0) & (quality.upper <= 0.0))
     if len(active) == 0:

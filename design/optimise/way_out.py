@@ -1,9 +1,9 @@
 """Ways out of a case whose limits cannot be met together.
 
-`conflict` states which limits determine the least violation, and the gain by relaxing each, by the multipliers of the
-minimax problem (`sqp.optimality`). They are derivatives, exact for small changes. `tried` makes short searches from the
-best effort. They have wider bounds of the filter, a filter of the next order, or a computer that samples twice as fast.
-A trial begins at the best effort and continues from the law's own starts until it has used its share of the search's
+`conflict` lists the limits that determine the least violation, and the gain by relaxing each of them. The gains are
+multipliers of the minimax problem (`sqp.optimality`), hence derivatives that are exact for small changes. `tried`
+carries out short searches with wider filter bounds, a filter of the next order, or a computer that samples twice as
+fast. A trial begins at the best effort and continues from the law's own starts until it has used its share of the
 evaluations. A failed trial does not prove that a change is insufficient.
 """
 
@@ -31,17 +31,18 @@ WIDER = {
     "zero_hz": (1.0, 100.0), "zero_zeta": (0.1, 2.0), "pole_hz": (1.0, 100.0), "pole_zeta": (0.05, 2.0),
     "first_order_zero_hz": (1.0, 200.0), "first_order_pole_hz": (1.0, 200.0),
 }  # fmt: skip  # a table
-"""The bounds of the filter's variables in a trial, by key of `filter.bounds`. A case with wider bounds keeps them."""
-FASTER = 2  # times the sample rate
-LEAST_SHARE = 1e-3  # smaller multipliers are not shown
+"""The bounds of the filter's variables in a trial, by key of `filter.bounds`. Wider bounds of a case are kept."""
+FASTER = 2  # factor on the sample rate
+LEAST_SHARE = 1e-3  # smallest multiplier that is reported
 
 
 @dataclass(frozen=True)
 class Relief:
-    """A limit that determines the least violation. Relaxing it by a dB gains `gains_db`; the sum over all limits is 1.
+    """A limit that determines the least violation.
 
-    `by` is a dB in the limit's own unit. `points` are the operating points at which it is active, the largest part
-    first.
+    Relaxing the limit by 1 dB lowers the violation by `gains_db`; the sum over all limits is 1. `by` is 1 dB in the
+    unit of the limit. `points` are the operating points at which the limit is active, in decreasing order of their
+    share.
     """
 
     what: str
@@ -52,12 +53,12 @@ class Relief:
 
     @property
     def name(self) -> str:
-        """Return the limit, with a remark if it is that of dispersed plants."""
+        """Return the name of the limit, with a remark if it applies to dispersed plants."""
         return f"{self.what}{' of dispersed plants' if self.dispersed else ''}"
 
 
 def conflict(solution: Solution) -> tuple[Relief, ...]:
-    """Return the limits that determine the violation of an infeasible, stable design, the largest part first."""
+    """Return the limits that determine the violation of an infeasible but stable design, the largest share first."""
     if solution.status != "infeasible" or not solution.certificate.stable:
         return ()
     by_limit = defaultdict[tuple[str, bool], list[Constraint]](list)
@@ -73,7 +74,10 @@ def conflict(solution: Solution) -> tuple[Relief, ...]:
 
 
 def _a_db(case: Case, at: Constraint) -> str:
-    """Return a dB of a limit in its own unit: phases by the optimiser's conversion, and others as a relative change."""
+    """Return 1 dB of a limit in its own unit, as text.
+
+    Phases are converted as in the optimiser, and other units are relative changes.
+    """
     if at.unit == "dB":
         return "1 dB"
     if at.unit == "deg":
@@ -86,7 +90,7 @@ def _a_db(case: Case, at: Constraint) -> str:
 
 @dataclass(frozen=True)
 class TriedChange:
-    """A change that is tried: in words, as settings, and the case and the operating points with it."""
+    """A change to be tried: its description, its settings, and the case and operating points after the change."""
 
     about: str
     settings: tuple[str, ...]
@@ -124,7 +128,7 @@ def changes_of(case: Case, nodes: Sequence[Node]) -> list[TriedChange]:
 
 
 def _in_use(case: Case, key: str) -> bool:
-    """Return True where the case's filters have sections with the variable."""
+    """Return True if the filters of the case have sections with the variable."""
     each = (case.filter.sections, *case.loop_filters.each)
     return any(sections[1 if key.startswith("first_order") else 0] > 0 for sections in each)
 
@@ -134,8 +138,9 @@ def _with_filter(case: Case, **changes: object) -> Case:
 
 
 def _higher(case: Case) -> tuple[str, tuple[str, ...], Case] | None:
-    """Return the case with the bending filter of the next order, or None if it exceeds the flight computer's
-    capacity.
+    """Return the case with the bending filter of the next order, with its description and settings.
+
+    Returns None if the filter would exceed the flight computer's capacity.
     """
     names = [name for name, sections in STRUCTURES.items() if sum(sections)]
     before = case.filter.structure
@@ -151,7 +156,7 @@ def _higher(case: Case) -> tuple[str, tuple[str, ...], Case] | None:
 
 
 def _faster(node: Node) -> Node:
-    """Return the operating point with a computer that samples faster. Latencies of sensors keep their duration."""
+    """Return the operating point with a computer that samples faster. Sensor latencies keep their duration."""
     own = node.instruments
     sample_s = own.sample_s / FASTER
     sensors = tuple((name, dynamics, FASTER * late) for name, dynamics, late in own.sensors)
@@ -166,9 +171,7 @@ def case_as_searched(solution: Solution) -> Case:
 
 
 def plants_of(case: Case, nodes: Sequence[Node], solution: Solution, ranges: Ranges | None) -> Plants:
-    """Return the plants of a solution: those at the operating points, and the dispersed ones that its search has
-    added.
-    """
+    """Return the plants of a solution: those at the operating points, and the dispersed ones that its search added."""
     nominal = [make_plant(node, case) for node in nodes]
     dispersed = dispersed_nodes(ranges, nodes, solution.constraints)
     return make_plants([*nominal, *(make_plant(node, case, dispersed=True) for node in dispersed)])
@@ -179,7 +182,7 @@ def tried(
 ) -> tuple[tuple[Trial, ...], bool]:
     """Return the trials from an infeasible solution, and True if they were interrupted.
 
-    `loaded` is the case of the stage along the flight of its search. The trials together use about as many evaluations
+    `loaded` is the case of the stage, along the flight of its search. All trials together use about as many evaluations
     as the search. After a KeyboardInterrupt, the completed trials are returned.
     """
     if solution.status != "infeasible":
@@ -209,7 +212,7 @@ def _tried(
     most: int,
     progress: Callable[[float, str], None] | None,
 ) -> Trial:
-    """Search with a change, with at most `most` evaluations."""
+    """Return the trial of a change, with at most `most` evaluations."""
     best: ProblemAtPoint | None = None
     problem: Problem | None = None
     unstable, interrupted, refused = 0, False, ""
@@ -239,6 +242,6 @@ def _tried(
 
 
 def starts_of(problem: Problem, case: Case, solution: Solution) -> list[Array]:
-    """Return the best effort, then the law's own starts."""
+    """Return the best effort, followed by the law's own starts."""
     warm = problem.law.variables_of(solution.law)
     return [*([] if warm is None else [warm]), *problem.law.starts(MORE_STARTS * case.search.starts, case.search.seed)]

@@ -1,6 +1,6 @@
 """The errata of the printed model of Lee, Ahn & Roh, each with a switch.
 
-`PAPER` is eqs 1 to 29 as they are printed, `CORRECTED` the physics that the simulator flies
+`PAPER` represents eqs 1 to 29 as printed. `CORRECTED` represents the physics of the simulator
 (sim/vehicle/derivative.py). The numbers are those of the project's list of errata. Errata that do not change a linear
 loop have no switch (3: weight bends no free-free mode; 9: signs that are right; 11, 12, 17 to 21: matters of the design
 problem). Errata 14 (coefficients that the paper omits) and 15 (continuous approximations) correspond to the kinds of
@@ -26,7 +26,7 @@ class Erratum(NamedTuple):
 
 @dataclass(frozen=True)
 class Errata:
-    """The switches, a field for each erratum: True is corrected, False as printed. `ABOUT` describes each."""
+    """The switches, one field for each erratum: True for corrected, False for as printed. `ABOUT` describes each."""
 
     gyro_senses_rate: bool = True
     mode_force_sign: bool = True
@@ -40,7 +40,7 @@ class Errata:
     path_terms: bool = True
     jet_damping: bool = True
     damper_at_bob: bool = True
-    actuator_labels: bool = False  # as printed in both presets: it is unknown which of the two is wrong
+    actuator_labels: bool = False  # as printed in both presets, since the correct assignment is unknown
 
     def switched(self, **fields: bool) -> Errata:
         """Return the errata with some switches changed. Raises ValueError for an unknown name."""
@@ -92,8 +92,9 @@ PRESETS = {"corrected": CORRECTED, "paper": PAPER}
 
 
 def one_at_a_time() -> Iterator[tuple[str, Errata]]:
-    """Return each erratum switched alone: from corrected to as printed, the actuator's labels from printed to
-    exchanged.
+    """Yield the name and the switches of each erratum switched alone, from its corrected to its printed form.
+
+    The actuator's labels are switched from printed to exchanged.
     """
     for name in ABOUT:
         yield name, CORRECTED.switched(**{name: not getattr(CORRECTED, name)})

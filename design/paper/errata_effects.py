@@ -1,4 +1,4 @@
-"""The effect of each erratum on a loop: switched alone from corrected to as printed, and all of them together."""
+"""The effect of each erratum on a loop: each switched alone from corrected to as printed, and all of them together."""
 
 from __future__ import annotations
 
@@ -24,10 +24,9 @@ EXPLAINED = {**ABOUT, "opened_at": OPENED, "paper": TOGETHER}
 
 @dataclass(frozen=True)
 class Effect:
-    """The effect of an erratum left in at one operating point. Names and units of the numbers are those of the measure.
+    """The effect of an uncorrected erratum at one operating point, as named numbers of the measure.
 
-    `error` is the reason for missing numbers if the loop cannot be made (a vehicle without the parts that the erratum
-    affects).
+    `error` is the reason for missing numbers if the loop does not exist, as for a vehicle without the affected parts.
     """
 
     erratum: str  # a key of EXPLAINED
@@ -41,14 +40,14 @@ class Effect:
         return EXPLAINED[self.erratum]
 
     def change(self, name: str) -> float:
-        """Return the printed value less the corrected one, or nan if either is missing."""
+        """Return the printed minus the corrected value, or nan if either is missing."""
         return self.printed.get(name, float("nan")) - self.corrected.get(name, float("nan"))
 
 
 def errata_effects(nodes: Iterable[PaperNode], measure: Measure) -> list[Effect]:
     """Return the effects by operating point, with errata in the order of EXPLAINED.
 
-    The points' own errata have no effect.
+    The errata of the operating points themselves are ignored.
     """
     cut: Cut = "gimbal_command"
     out = []
@@ -67,16 +66,14 @@ def errata_effects(nodes: Iterable[PaperNode], measure: Measure) -> list[Effect]
 
 
 def peaks_db(loop: Loop) -> dict[str, float]:
-    """Return |L| (dB) at each lightly damped pole of bending and slosh, the largest within its half-widths, by
-    label.
-    """
+    """Return the peak of |L| (dB) within the half-widths of each lightly damped pole of bending and slosh, by label."""
     return {r.label: peak_db(loop, r) for r in loop.fixed.resonances() if r.kind in ("bending", "slosh")}
 
 
 def peak_db(loop: Loop, resonance: Resonance) -> float:
     """Return the largest |L| (dB) within a half-width of a resonance, to 1e-6 dB.
 
-    On a slope as steep as near slosh, |L| may have no maximum. The result is then the value at the edge.
+    On a steep slope, as near slosh, |L| may have no maximum. The result is then the value at the edge.
     """
     low, high = (resonance.frequency_hz + side * resonance.half_width_hz for side in (-1.0, 1.0))
     low, high = max(low, 1e-6), min(high, loop.highest_hz)

@@ -1,29 +1,30 @@
 """The equations of motion of Lee, Ahn & Roh (1 to 27) in one plane, with a switch for each erratum (errata.py).
 
 Body axes are at the core's CG, x forward, z down (pitch plane). Stations are in metres aft of the nose. The vehicle
-flies along x at the speed U without turning, under the specific axial force a = (T - D) / m. The equations have the
-paper's form. They are forces and moments on a body of mass m and inertia I (1, 2), a modal force (14), and pendulums
-driven by their hinges (21). With `PAPER` they are the equations as printed. With `CORRECTED` they are the linear model
-of the simulator, with which tests/test_oracle_design_model_printed.py compares them.
+flies along x at the speed U without rotation, with the axial specific force a = (T - D) / m. The equations have the
+form of the paper: forces and moments on a body of mass m and inertia I (1, 2), a modal force (14), and pendulums driven
+by their hinges (21). With `PAPER` they are the equations as printed. With `CORRECTED` they are the linear model of the
+simulator, with which tests/test_oracle_design_model_printed.py compares them.
 
 The constant g cos(theta_0) acts on every particle alike and is omitted: it bends the path (gravity turn). Gravity does
 no work on a free-free mode (erratum 3). Thrust T acts at the displaced gimbal along the bent axis, each lifting surface
-at its local angle of attack, and drag along the wind. The engine behind the gimbal (I_E about it, first moment S = m_E
-l_E) reacts to delta'' and hangs under the axial load (8). Slosh damping is a force between bob and tank:
+acts at its local angle of attack, and drag acts along the wind. The gimballed engine (I_E about the gimbal, first
+moment S = m_E l_E) reacts to delta'' and is subject to the axial load (8). Slosh damping is a force between bob and
+tank:
 
     M_S = - sum m_p [ a l_p G + 2 zeta w L (l_p - L) G' ],
 
 Eq. (27) prints the hinge's arm l_p for both forces (erratum 22), which is wrong. The rod's pull acts at the hinge, but
-the liquid's friction acts at the bob, l_p - L forward of the CG. The printed pair of damping forces is not collinear
-and so does not conserve angular momentum.
+the friction of the liquid acts at the bob, l_p - L forward of the CG. The printed pair of damping forces is not
+collinear and thus does not conserve angular momentum.
 
 The paper leaves several definitions open. Here, delta_b = -sigma_T eta and alpha_b = sigma_s eta + phi_s eta' / U (16,
-17). phi is that at the surface, gimbal or hinge at which a force acts. The derivatives (4 to 8) are those of the whole
-vehicle with its liquid frozen. I_E is that about the engine's CG (20), a_x = (T - D) / m, and W' - g_z - U q in (21)
-follows from (1).
+17), with phi at the surface, gimbal or hinge where the force acts. The derivatives (4 to 8) are those of the whole
+vehicle with frozen liquid. I_E in (20) is about the engine's CG, a_x = (T - D) / m, and W' - g_z - U q in (21) follows
+from (1).
 
-The lateral slosh of an upright cylinder is modelled as a pendulum (22, 23, 25, with errata 6 and 7). R is the tank's
-radius, h the liquid's depth and xi the first root of J1' (NASA SP-106, ch. 6; Dodge, The New "Dynamic Behavior of
+The lateral slosh of an upright cylinder is modelled as a pendulum (22, 23, 25, with errata 6 and 7). With the tank
+radius R, the liquid depth h and the first root xi of J1' (NASA SP-106, ch. 6; Dodge, The New "Dynamic Behavior of
 Liquids in Moving Containers", 2000),
 
     L = R / (xi tanh(xi h / R)),    m_p = m 2 R tanh(xi h / R) / (xi h (xi^2 - 1)),
@@ -32,7 +33,7 @@ Liquids in Moving Containers", 2000),
 Limits of validity: one engine on the body axis without TVC load, planar modes, lifting surfaces without tables over
 angle of attack, one gyro. Other vehicles are rejected.
 
-The yaw plane is the same with w -> v, q -> -r, theta -> -psi, eta -> xi, delta -> -delta_yaw, gyro -> -gyro.
+The yaw plane is obtained with w -> v, q -> -r, theta -> -psi, eta -> xi, delta -> -delta_yaw, gyro -> -gyro.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ from maxq.sim.vehicle import schedule
 from maxq.sim.vehicle.air import kernel as aero
 
 XI = 1.84118378134066
-_SHALLOWEST = 1e-6  # depth in radii: the formulae have limits at zero
+_SHALLOWEST = 1e-6  # least depth in radii, since the formulae are singular at zero
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class PlaneModes:
 
 @dataclass(frozen=True)
 class PlaneVehicle:
-    """The coefficients of the equations of motion, for a stage at one instant in one plane.
+    """The coefficients of the equations of motion of a stage, at one instant and in one plane.
 
     The core is the vehicle without the bobs.
     """
@@ -111,11 +112,11 @@ class PlaneVehicle:
     engine_inertia_kgm2: float  # about the gimbal
     flow_kgps: float  # rho U S / 2
     chord_m: float
-    drag: float  # CD, the part that acts along the wind
-    pitch_damping: float  # Cmq, or Cnr in yaw; per rate times chord / (2 U)
+    drag: float  # CD, drag along the wind
+    pitch_damping: float  # Cmq, or Cnr in yaw, with respect to rate times chord / (2 U)
     local_incidence: bool
     slope_pr: Array  # CN_alpha of each surface
-    moment_slope_mpr: Array  # times its station
+    moment_slope_mpr: Array  # slope times station of each surface
 
     @property
     def total_cg_station_m(self) -> float:
@@ -126,7 +127,7 @@ class PlaneVehicle:
 
     @property
     def total_inertia_kgm2(self) -> float:
-        """Return the transverse inertia about that CG with the liquid frozen."""
+        """Return the transverse inertia about the total CG, with frozen liquid."""
         bobs, cg = self.pendulums, self.total_cg_station_m
         core = self.core_inertia_kgm2 + self.core_mass_kg * (self.core_cg_station_m - cg) ** 2
         return float(core + bobs.mass_kg @ (bobs.bob_station_m - cg) ** 2)
@@ -221,9 +222,9 @@ def _modes(held: HeldStage, plane: int) -> PlaneModes:
 
 
 def with_printed_tanks(vehicle: PlaneVehicle, errata: Errata, liquids: Liquids | None) -> PlaneVehicle:
-    """Return the vehicle with the pendulums of the errata that are left in. The core makes up the difference.
+    """Return the vehicle with pendulums according to the errata of the tanks. The core absorbs the difference.
 
-    Raises ValueError if an erratum of the tanks is left in and `liquids` is None.
+    Raises ValueError if an erratum of the tanks is not corrected and `liquids` is None.
     """
     old = vehicle.pendulums
     if (errata.tank_radius and errata.tank_liquid) or not len(old.mass_kg):
@@ -251,11 +252,11 @@ def with_printed_tanks(vehicle: PlaneVehicle, errata: Errata, liquids: Liquids |
 
 
 def as_printed(pendulums: Pendulums, liquids: Liquids, radius: bool, liquid: bool) -> Pendulums:
-    """Return the pendulums of eqs 22, 23 and 25 with their errata left in.
+    """Return the pendulums of eqs 22, 23 and 25 with uncorrected errata.
 
-    If `radius` is False, the diameter replaces the radius. If `liquid` is False, all propellant replaces that in the
-    tank. Mass and position of the liquid follow from the true pendulum. The paper does not give the hinge; it is placed
-    by the formula above with the same radius. The damping ratio is kept.
+    If `radius` is False, the diameter replaces the radius. If `liquid` is False, all propellant replaces the liquid of
+    the tank. Mass and position of the liquid follow from the true pendulum. The paper does not give the hinge; it
+    follows from the formula above with the same radius. The damping ratio is kept.
     """
     r = liquids.radius_m
     h = np.maximum(liquids.height_m, _SHALLOWEST * r)
@@ -283,7 +284,7 @@ def _hinge_above(radius: Array, height: Array, length: Array) -> Array:
 
 
 class _Equations:
-    """The rows of coefficients of each quantity: per state, then per input."""
+    """The rows of coefficients of each quantity, first for the states, then for the inputs."""
 
     def __init__(self, vehicle: PlaneVehicle, condition: FlightCondition, load: float, errata: Errata) -> None:
         self.vehicle, self.condition, self.load, self.errata = vehicle, condition, load, errata
@@ -301,7 +302,7 @@ class _Equations:
             if errata.core_mass
             else (v.total_mass_kg, v.total_inertia_kgm2, v.total_cg_station_m)
         )
-        # between the rows of the tables, the total mass differs slightly from that of core and bobs
+        # between the rows of the tables, the total mass differs slightly from the sum of core and bobs
         whole = v.core_mass_kg + bobs if errata.core_mass else v.total_mass_kg
         self.specific_force = load * v.total_mass_kg / whole
         self.force, self.moment, self.modal = 0.0 * self.w, 0.0 * self.w, 0.0 * self.eta
@@ -371,7 +372,7 @@ class _Equations:
         self.modal = self.modal + np.outer(phi, rod + friction)
         if self.errata.bent_body_loads:
             self.moment = self.moment - self.specific_force * mass * (phi @ self.eta)
-        if v.slosh_exchange and mass > 0.0:  # liquid that moves from bob to core keeps its velocity
+        if v.slosh_exchange and mass > 0.0:  # liquid that moves from the bob to the core keeps its velocity
             flow = max(-v.bob_mass_rate_kgps[k], 0.0)
             swung = length * self.swing_rate[k]
             push = flow * (swung + phi @ self.eta_rate)
@@ -379,7 +380,7 @@ class _Equations:
             self.modal = self.modal + flow * np.outer(phi, swung)
 
     def _swing_acceleration(self, k: int, lateral: Array, turning: Array, bending: Array) -> Array:
-        """Add the pendulum's equation (21)."""
+        """Return the row of a pendulum's angular acceleration (21)."""
         v, bobs, phi = self.vehicle, self.vehicle.pendulums, self.vehicle.modes.phi_hinge[:, k]
         mass, length = bobs.mass_kg[k], bobs.length_m[k]
         drive = lateral - (self.cg - bobs.hinge_station_m[k] - length) * turning + phi @ bending
@@ -415,24 +416,24 @@ class _Equations:
 def published_plant(
     vehicle: PlaneVehicle, condition: FlightCondition, load_mps2: float, errata: Errata, liquids: Liquids | None = None
 ) -> StateSpace:
-    """Return the system from the motion of the engine and the lateral wind to the rates of body, modes and pendulums,
-    as `Node.plant` does.
+    """Return the state space from engine motion and lateral wind to the rates of body, modes and pendulums.
 
-    The states are w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad), G'
-    (rad/s). The outputs are `OUTPUTS`, with the local rate at the gyro, q + sum sigma_G eta' (12 with erratum 1).
-    Raises ValueError if an erratum of the tanks is left in and `liquids` is None.
+    It corresponds to `Node.plant_in_wind`. The states are w (m/s, at the body point of the core's CG), q (rad/s), theta
+    (rad), eta (m), eta' (m/s), G (rad), G' (rad/s). The outputs are `OUTPUTS`, with the local rate at the gyro, q + sum
+    sigma_G eta' (12 with erratum 1). Raises ValueError if an erratum of the tanks is not corrected and `liquids` is
+    None.
     """
     return _Equations(with_printed_tanks(vehicle, errata, liquids), condition, load_mps2, errata).state_space()
 
 
 def _mass_flow_momentum(vehicle: PlaneVehicle) -> tuple[float, float]:
-    """Return the lateral momentum P (kg m/s) and the damping (kg m2/s) of the mass flow per turning rate.
+    """Return the lateral momentum P (kg m/s) and the damping (kg m2/s) of the mass flow per angular rate.
 
-    The source is Reynolds' transport theorem with the Coriolis acceleration 2 w x v_rel of the flow through a turning
-    vessel (W. T. Thomson, Introduction to Space Dynamics, ch. 7). The equations are m a = F - 2 w x P, P = m dc/dt +
-    sum of outflow times place, and I q' = M - (dI/dt + sum of outflow times place^2) q. Places are forward of the CG,
-    and c is the CG in the body. The gas leaves at the nozzle's exit. Liquid also moves from the bobs, which shrink, to
-    the core.
+    The source is Reynolds' transport theorem with the Coriolis acceleration 2 w x v_rel of the flow through a rotating
+    vessel (W. T. Thomson, Introduction to Space Dynamics, ch. 7). The equations are m a = F - 2 w x P, P = m
+    dc/dt + sum of outflow times position, and I q' = M - (dI/dt + sum of outflow times position^2) q. Positions are
+    forward of the CG, and c is the CG in the body. The gas leaves at the nozzle exit. Liquid also moves from the
+    shrinking bobs to the core.
     """
     v, cg = vehicle, vehicle.core_cg_station_m
     exit_place, bob_place, bob_rate = cg - v.exit_station_m, cg - v.pendulums.bob_station_m, v.bob_mass_rate_kgps

@@ -2,7 +2,8 @@
 
     nodes = paper_nodes(load_scenario("nominal"), [40.0], errata=PAPER)
 
-They reproduce the study of Lee, Ahn & Roh. All other uses need the simulator's linear model (design/model/held.py).
+They reproduce the study of Lee, Ahn & Roh. All other applications use the simulator's linear model
+(design/model/held.py).
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ class PaperNode(Node):
     """An operating point with the published equations in place of the simulator's derivative."""
 
     errata: Errata = CORRECTED
-    liquids: Liquids | None = None  # needed only for the errata of the tanks; of the nominal vehicle
+    liquids: Liquids | None = None  # of the nominal vehicle; needed only for the errata of the tanks
 
     def plant_in_wind(self, wind: bool = True) -> StateSpace:
-        """Return `Node.plant_in_wind` by the published equations, with the errata of the operating point."""
+        """Return the plant of the published equations, in the form of `Node.plant_in_wind`."""
         self.check_axial_load()
         try:
             vehicle = plane_vehicle(self.held, self.condition, self.plane)
@@ -69,7 +70,7 @@ def paper_nodes(
     errata: Errata = CORRECTED,
     faults: bool = False,
 ) -> list[PaperNode]:
-    """Return operating points as `nodes_along` does, with the published model of the same vehicle."""
+    """Return operating points as in `nodes_along`, with the published model of the same vehicle."""
 
     def refine(run: FlightRun, node: Node) -> Node:
         clock_s = table_clock_s(run.packed.parameters[node.stage], node.time_s - node.stage_start_s)
@@ -82,7 +83,7 @@ def paper_nodes(
 
 
 def _liquids(stage: Stage, clock_s: float, tanks_known: int) -> Liquids | None:
-    """Return the radius and depth of the liquid, if the vehicle's tables give them."""
+    """Return the radius and depth of the liquid in each tank, or None if the vehicle's tables do not contain them."""
     tanks = stage.tank[:tanks_known]
     known = all(tank.radius_m is not None and "liquid_height_m" in tank.table for tank in tanks)
     if not known or any(tank.pendulums > 1 for tank in tanks):

@@ -1,12 +1,12 @@
-"""Stability derivatives imposed on an operating point: those of the paper's Table 2.
+"""Stability derivatives imposed on an operating point, such as those of the paper's Table 2.
 
 No plausible arrangement of masses reaches the ends of Table 2's M_delta (scenarios/vehicles/ksr3/NOTES.md). An
-operating point therefore keeps its mass, speed, pendulums, modes and instruments, and its held stage deviates until eqs
-4 to 8 give the required derivatives:
+operating point therefore keeps its mass, speed, pendulums, modes and instruments, and its held stage is changed until
+eqs 4 to 8 give the required derivatives:
 
-- thrust, for Z_delta (5); drag makes up for it, so that the axial load and the slosh frequencies stay
-- inertia, for M_delta (8); Cmq, so that M_q (7) stays
-- CN_alpha of all surfaces by one factor, for Z_alpha (4); their stations by one shift, for M_alpha (6).
+- thrust, for Z_delta (5), with a change of drag that keeps the axial load and the slosh frequencies
+- inertia, for M_delta (8), with a change of Cmq that keeps M_q (7)
+- CN_alpha of all surfaces by one factor, for Z_alpha (4), and their stations by one shift, for M_alpha (6).
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ TABLE_2_FILE = "vehicles/ksr3-table2/derivatives.csv"
 
 @dataclass(frozen=True)
 class DerivativeTable:
-    """A table of derivatives over vehicle time: `values` (times, 4) in the order of COLUMNS, with monotone cubics
-    between them.
+    """A table of derivatives over vehicle time, with monotone cubic interpolation.
+
+    `values` has the shape (times, 4), in the order of COLUMNS.
     """
 
     time_s: Array
@@ -42,7 +43,7 @@ class DerivativeTable:
     source: str = ""
 
     def at(self, time_s: float) -> dict[str, float]:
-        """Return the derivatives at a time. Raises ValueError outside the table."""
+        """Return the derivatives at a time. Raises ValueError for a time outside the table."""
         first, last = float(self.time_s[0]), float(self.time_s[-1])
         if not first <= time_s <= last:
             holds = f"{self.source or 'the table'} holds {first:g} s to {last:g} s"
@@ -52,11 +53,10 @@ class DerivativeTable:
 
 
 def read_derivatives(file: str | Path = TABLE_2_FILE) -> DerivativeTable:
-    """Read a CSV file with columns time_s and COLUMNS.
+    """Read a CSV file with the columns time_s and COLUMNS.
 
-    A relative name is also searched for among the built-in scenarios.
-
-    Raises ValueError, naming the file, if it is not such a table.
+    A relative name is also searched for among the built-in scenarios. Raises ValueError, with the file name, for other
+    content.
     """
     path = Path(file) if Path(file).exists() else scenarios_folder() / file
     lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line and not line.startswith("#")]
@@ -74,15 +74,15 @@ def read_derivatives(file: str | Path = TABLE_2_FILE) -> DerivativeTable:
 def imposed(nodes: Iterable[N], table: DerivativeTable) -> list[N]:
     """Return each operating point with the table's derivatives at its time.
 
-    Raises ValueError outside the table and if they are impossible.
+    Raises ValueError for a time outside the table and for impossible derivatives.
     """
     return [impose(node, **table.at(node.time_s)) for node in nodes]
 
 
 def impose(node: N, z_alpha_1ps: float, m_alpha_1ps2: float, z_delta_1ps: float, m_delta_1ps2: float) -> N:
-    """Return the operating point with these `Node.derivatives` and its own M_q.
+    """Return the operating point with the given `Node.derivatives` and its own M_q.
 
-    Raises ValueError if they are impossible.
+    Raises ValueError for impossible derivatives.
     """
     before, vehicle = node.derivatives, node.vehicle
     if min(before.z_delta_1ps, before.m_delta_1ps2, -before.z_alpha_1ps, z_delta_1ps, m_delta_1ps2) <= 0.0:
@@ -103,12 +103,12 @@ def impose(node: N, z_alpha_1ps: float, m_alpha_1ps2: float, z_delta_1ps: float,
         inertia=inertia / old,
         rate_damping=inertia / old,
     ).held
-    held.vehicle["aero"]["axial_factor"] *= 1.0 + (push - 1.0) * net_N / drag_N  # below zero if thrust is added
+    held.vehicle["aero"]["axial_factor"] *= 1.0 + (push - 1.0) * net_N / drag_N  # negative if thrust is added
     return dataclasses.replace(node, held=held)
 
 
 def _axial_thrust(node: Node) -> tuple[float, float]:
-    """Return the axial thrust of all engines, in vacuum and in the air of the node, N."""
+    """Return the axial thrust of all engines in vacuum, and in the air of the operating point, N."""
     held, vacuum_N, net_N = node.held, 0.0, 0.0
     engine = held.vehicle["engine"][0]
     for k in range(int(held.sizes.engines)):

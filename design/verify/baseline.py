@@ -1,8 +1,8 @@
 """The comparison of a suite with its baseline, an agreed suite: each difference in resolved content, and its kind.
 
-The baseline is the suite that the key `baseline` names. Its default is the shipped suite that the suite extends or
-equals, else `standard`. Limits, levels, flights, campaigns, winds, vehicle and switches are compared as they are read,
-files included, so that a copy under another name has no differences.
+The key `baseline` names the baseline. The default is the shipped suite that the suite extends or equals, or else
+`standard`. Limits, levels, flights, campaigns, winds, vehicle and switches are compared as resolved, including the
+contents of files. A copy under another name therefore has no differences.
 """
 
 from __future__ import annotations
@@ -30,36 +30,36 @@ LOOSENED, SPREAD, LOWERED, SHORTENED = "limit loosened", "spread reduced", "leve
 WEAKER = "wind weaker"
 CHANGED, STRICTER = "changed", "added or stricter"
 KINDS = (OFF, WAIVED, EXCUSED, SEED, REMOVED, LOOSENED, SPREAD, WEAKER, LOWERED, SHORTENED, CHANGED, STRICTER)
-"""The kinds of differences, in the order in which they are listed."""
+"""The kinds of differences, in the order of their listing."""
 
 _HARMLESS = frozenset({WAIVED, SEED, STRICTER})
-"""The kinds that do not loosen a suite. Waivers and seeds have rules of their own."""
+"""The kinds that do not loosen a suite. Separate rules apply to waivers and seeds."""
 _FLOORED = frozenset({"runs", "cases", "nodes_per_stage", "starts"})
-"""The numbers that may be lower than in the baseline. All but `starts` have a least value in the floor."""
-_LEVELS = frozenset({"success", "confidence"})  # those of the floor are those of the shipped suites
-_ENDS = frozenset({"burnout", "impact"})  # of a whole flight: the burnout is that of the last stage
+"""The numbers that may be lower than in the baseline. The floor has a minimum for all of them except `starts`."""
+_LEVELS = frozenset({"success", "confidence"})  # the floor has the levels of the shipped suites
+_ENDS = frozenset({"burnout", "impact"})  # ends of a whole flight; the burnout is that of the last stage
 SCREENINGS = frozenset({"quick"})
-"""The shipped suites that accept nothing. A suite that extends one is accepted by the rules of `standard`."""
+"""The shipped suites that cannot accept a design. The rules of `standard` apply to suites that extend them."""
 ACCEPTING, BASE = "standard", "launcher"
 _OF_CAMPAIGN = re.compile(r"^campaign \S+: ")
-_MOST_NAMED, _LONGEST = 3, 120  # loosened keys in a line of text, and characters of each
+_MOST_NAMED, _LONGEST = 3, 120  # loosened keys in a line of text, and characters per key
 
 _WORDS = frozenset({"why", "description", "name", "schema", "schema_version", "source", "log", "design"})
-"""The keys that change no verdict, and the design, which is judged."""
+"""The keys that do not affect a verdict, and the design, which is under test."""
 _COUNTS = frozenset({"success", "confidence", "availability", "runs", "cases", "trajectories", "nodes_per_stage"})
 _COUNTS |= {"corner_sigmas", "sigmas", "starts", "in_flight", "bound", "together", "planes", "between_nodes"}
 _LEAST = frozenset({"modulus", "minimum", "wind_limit_mps", "room", "probability"})  # a larger value is stricter
 _MOST = frozenset({"fault_probability", "tolerance"})  # a smaller value is stricter
 _SPREADS = frozenset({"sigma", "three_sigma", "factor"})
 _NOT_COMPARED = "whose own numbers, limits and winds are not compared"
-_MOST_SHOWN = 6  # elements of a list
+_MOST_SHOWN = 6  # most elements of a list that are shown
 
 KeyPath = tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class SuiteDifference:
-    """A difference from the baseline: its kind, the key or part, and the values there and in the suite."""
+    """A difference from the baseline: its kind, its key or part, and the values in the baseline and in the suite."""
 
     kind: str
     what: str
@@ -76,8 +76,8 @@ class SuiteDifference:
 class Compared:
     """A suite compared with its baseline.
 
-    `hashes` are those of the resolved content of both, and of each part of the suite. If the baseline is not shipped,
-    `from_shipped` compares the suite with the shipped suite that it extends, else with `standard`.
+    `hashes` are those of the resolved content of both suites, and of each part of the suite. If the baseline is not
+    shipped, `from_shipped` compares the suite with the shipped suite that it extends, or else with `standard`.
     """
 
     baseline: str
@@ -98,8 +98,8 @@ class Compared:
     def loosening(self) -> list[SuiteDifference]:
         """Return the differences that loosen the suite.
 
-        These are all but stricter ones, numbers with a floor, and those of the vehicle, which is judged: of the suite's
-        scenario, and the same of its campaigns.
+        Excluded are stricter values, numbers with a floor, and differences of the vehicle under test, in the suite's
+        scenario and equally in its campaigns.
         """
         of_scenario = {(d.what, d.baseline, d.here) for d in self.differences}
 
@@ -118,14 +118,14 @@ class Compared:
 
     @property
     def loosened(self) -> str:
-        """Return one line of text with the differences that loosen the suite, or "" without any."""
+        """Return one line of text with the differences that loosen the suite, or "" if there are none."""
         every = [shorten(d.text, _LONGEST, placeholder=" ...") for d in self.loosening]
         more = f", and {len(every) - _MOST_NAMED} more" if len(every) > _MOST_NAMED else ""
         return f"looser than the suite {self.baseline}: {'; '.join(every[:_MOST_NAMED])}{more}" if every else ""
 
     @property
     def agreed(self) -> str:
-        """Return one line of text with an agreed baseline and what it loosens, or "" for a shipped baseline."""
+        """Return one line of text with the agreed baseline and its loosening differences, or "" if shipped."""
         if self.from_shipped is None:
             return ""
         text = f"agreed baseline {self.baseline}, SHA-256 {self.hashes['baseline'][:16]}, not shipped"
@@ -133,21 +133,21 @@ class Compared:
 
     @property
     def all_differences(self) -> list[SuiteDifference]:
-        """Return the differences from the baseline, and those from the shipped suite that it does not have."""
+        """Return the differences from the baseline, and further differences from the shipped suite."""
         further = self.from_shipped.differences if self.from_shipped is not None else ()
         return [*self.differences, *(d for d in further if d not in self.differences)]
 
 
 def against_baseline(loaded: LoadedSuite, vehicle: str | None = None, baseline: LoadedSuite | None = None) -> Compared:
-    """Compare a suite as read with its baseline. Raises ScenarioError.
+    """Compare a suite, as read, with its baseline. Raises ScenarioError.
 
-    `vehicle` is flown in place of the suite's own. `baseline` is that suite, if it has been read.
+    `vehicle` replaces the vehicle of the suite. `baseline` avoids a second reading of that suite.
     """
     baseline = baseline or read_suite(loaded.baseline)
     own, named = ("scenario" in suite.asked.model_fields_set for suite in (baseline, loaded))
     before, after = resolved(baseline.asked, own=own), resolved(loaded.asked, vehicle, own or named)
     hashes = {"baseline": _hash(before), "suite": _hash(after)}
-    if loaded.asked.board is not None:  # of the whole section, words included
+    if loaded.asked.board is not None:  # covers the whole section, including its texts
         hashes["suite: board"] = content_hash(told(loaded.asked.board))
     hashes |= {f"suite: {part.replace('_', ' ')}": _hash(content) for part, content in after.items() if content}
     shipped = loaded.baseline in builtin_files("suite")
@@ -156,9 +156,9 @@ def against_baseline(loaded: LoadedSuite, vehicle: str | None = None, baseline: 
 
 
 def accepting_baseline(loaded: LoadedSuite, vehicle: str) -> str:
-    """Return the name of the suite by whose rules a suite accepts a vehicle of that name.
+    """Return the name of the suite whose rules apply to the acceptance of a vehicle with the given name.
 
-    `launcher` has no winds and deviations, so that those of `standard` apply to its vehicle.
+    `launcher` has no winds and deviations. For the vehicle of `standard`, those of `standard` apply.
     """
     if loaded.baseline == BASE and vehicle == load_scenario(read_suite(ACCEPTING).suite.scenario).vehicle.name:
         return ACCEPTING
@@ -166,14 +166,15 @@ def accepting_baseline(loaded: LoadedSuite, vehicle: str) -> str:
 
 
 def _hash(content: Any) -> str:
-    """Return the SHA-256 of content without the names of files and the words in it."""
+    """Return the SHA-256 of content without file names and texts."""
     return content_hash([[list(path), value] for path, value in _leaves(content)])
 
 
 def resolved(suite: Suite, vehicle: str | None = None, own: bool = True) -> dict[str, Any]:
-    """Return all content by which a suite judges, including that of the files that it names.
+    """Return all content that affects the verdicts of a suite, including the contents of its files.
 
-    Without its `own` scenario, only the switches of the whole model are included. Raises ScenarioError.
+    If `own` is False, the scenario of the suite is replaced by the switches of the complete model. Raises
+    ScenarioError.
     """
     changes = [f'vehicle="{vehicle}"'] if vehicle is not None else []
     out: dict[str, Any] = {key: told(getattr(suite, key)) for key in ("margins", "certificate", "wind_limit_mps")}
@@ -218,7 +219,7 @@ def _flight(suite: Suite, flight: SuiteFlight, changes: Sequence[str]) -> dict[s
 
 
 def _of_change(path: Sequence[str | int]) -> str:
-    """Return the key of a change. A suite that replaces the design under test is marked, as `_WORDS` has that key."""
+    """Return the key of a change. The key of a design is renamed, since `_WORDS` would exclude it."""
     key = ".".join(map(str, path))
     return "design in place of the judged one" if key == "design" else key
 
@@ -235,11 +236,11 @@ def _campaign(file: str, changes: Sequence[str]) -> dict[str, Any]:
 
 
 def differences(before: dict[str, Any], after: dict[str, Any]) -> list[SuiteDifference]:
-    """Return the differences of `after` from `before`, both as `resolved` returns them, in the order of `KINDS`."""
+    """Return the differences of `after` from `before`, both as returned by `resolved`, in the order of `KINDS`."""
     names = [each["scenario"].get("vehicle", {}).get("name", "") for each in (before, after)]
     old, new = ({path: value for path, value in _leaves(each)} for each in (before, after))
     out = []
-    if names[0] != names[1]:  # whose numbers are its own
+    if names[0] != names[1]:  # numbers of different vehicles are not comparable
         out += [SuiteDifference(CHANGED, f"vehicle, {_NOT_COMPARED}", *names)] if all(names) else []
         out += _smaller_spreads(old, new)
         old, new = ({p: v for p, v in each.items() if not _of_vehicle(p)} for each in (old, new))
@@ -272,7 +273,7 @@ def _kind_of_part(head: KeyPath, kind: str) -> str:
 
 
 def _joined(found: Sequence[SuiteDifference]) -> Iterator[SuiteDifference]:
-    """Yield removed and added flights as one difference each."""
+    """Yield the differences, with all removed flights and all added flights as one difference each."""
     whole = [d for d in found if d.what.startswith("flight ") and not (d.baseline or d.here)]
     for kind in (REMOVED, STRICTER):
         names = [d.what.removeprefix("flight ") for d in whole if d.kind == kind]
@@ -298,19 +299,22 @@ def _parts_of(leaves: dict[KeyPath, Any]) -> list[KeyPath]:
 
 
 def _of_vehicle(path: KeyPath) -> bool:
-    """Return True for keys whose values differ for every vehicle."""
+    """Return True for keys whose values differ between vehicles."""
     return "deviation" in path or ("scenario" in path and "switches" not in path) or path[0] == "limit_wind"
 
 
 def _smaller_spreads(before: dict[KeyPath, Any], after: dict[KeyPath, Any]) -> Iterator[SuiteDifference]:
-    """Yield the deviations of factors, and of what is not the vehicle, that are smaller than those of the same key."""
+    """Yield the deviations with a smaller standard deviation than before.
+
+    Deviations in units of one vehicle are excluded.
+    """
     old, new = _standard_deviations(before), _standard_deviations(after)
     for path in (path for path in old if path in new and new[path] < old[path]):
         yield SuiteDifference(SPREAD, f"{_title(path)}, standard deviation", _shown(old[path]), _shown(new[path]))
 
 
 def _standard_deviations(leaves: dict[KeyPath, Any]) -> dict[KeyPath, float]:
-    """Return the standard deviations of normal and uniform draws that vehicles have in common, by deviation."""
+    """Return the standard deviations of normal and uniform draws that are comparable between vehicles, by deviation."""
     every: dict[KeyPath, dict[str, Any]] = {}
     for path, value in leaves.items():
         if "deviation" in path[:-2]:
@@ -318,7 +322,7 @@ def _standard_deviations(leaves: dict[KeyPath, Any]) -> dict[KeyPath, float]:
     out = {}
     for path, d in every.items():
         if d.get("apply") != "scale" and path[-1].startswith("vehicle.") and "_factor" not in path[-1]:
-            continue  # a value in units of one vehicle
+            continue  # an absolute value of one vehicle
         if d["distribution"] == "uniform":
             out[path] = (d["high"] - d["low"]) / math.sqrt(12.0)
         elif d["distribution"] in ("normal", "log-normal") and "covariance" not in d:
@@ -381,13 +385,13 @@ def _kind(path: KeyPath, before: Any, after: Any) -> str:
 
 
 def _is_speed(key: str) -> bool:
-    """Return True for a key of a wind by whose size winds are ordered."""
+    """Return True for a key of a wind whose magnitude determines its strength."""
     name = key.rpartition(".")[2]
     return name.endswith("_mps") or name == "factor"
 
 
 def _weaker(before: Any, after: Any) -> bool | None:
-    """Return True if a wind speed is smaller than before anywhere, or None if the two cannot be compared."""
+    """Return True if any wind speed is smaller than before, or None if the two winds cannot be compared."""
     try:
         a, b = ([abs(float(x)) for x in (v if isinstance(v, list) else [v])] for v in (before, after))
     except (TypeError, ValueError):
@@ -402,7 +406,7 @@ def _less(key: str, before: Any, after: Any) -> bool | None:
     if key == "between_nodes":
         return bool(after == "ignore")
     if key.endswith("duration_s") and before is None:
-        return True  # a flight that a change ends
+        return True  # the change limits the duration of the flight
     try:
         a, b = float(before), float(after)
     except (TypeError, ValueError):

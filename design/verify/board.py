@@ -1,7 +1,7 @@
-"""The section [board] of a suite: what a review board asks for and no program can know.
+"""The section [board] of a suite: information for a review board that people must supply.
 
-Pedigree of inputs, credibility factors, waivers, and values of a second tool. `board_findings` compares them with a
-verification; docs/verdicts.md has the meaning of each.
+It contains the pedigree of inputs, credibility factors, waivers, and values of a second tool. `board_findings` compares
+them with a verification; docs/verdicts.md explains each.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Factor = Literal[
     "process and product management",
 ]
 WaivablePart = Literal["scenarios", "margins", "dispersed", "worst", "authority", "campaign", "faults", "second tool"]
-"""The parts with requirements that can be waived. Stability and certificates cannot."""
+"""The parts whose requirements can be waived. Stability and certificates cannot be waived."""
 
 
 def _date(text: str) -> str:
@@ -63,7 +63,7 @@ class PedigreeSection(Section):
 
 
 class CredibilitySection(Section):
-    """The level of one credibility factor of NASA-STD-7009, as assessed by people."""
+    """The assessed level of one credibility factor of NASA-STD-7009."""
 
     factor: Factor = Field(description="the factor")
     level: Annotated[int, Field(ge=0, le=4)] = Field(description="0 (insufficient evidence) to 4")
@@ -71,7 +71,7 @@ class CredibilitySection(Section):
 
 
 class WaiverSection(Section):
-    """A requirement that may be missed, by a stated share, until a date."""
+    """A requirement that may be missed by a stated fraction until a date."""
 
     part: WaivablePart = Field(description="part of the requirement, as in the report")
     requirement: BoardText = Field(
@@ -91,12 +91,12 @@ class WaiverSection(Section):
 
     @property
     def about(self) -> str:
-        """Return the requirement with its part."""
+        """Return the part and name of the requirement."""
         return f"{self.part}: {self.requirement}"
 
 
 class SecondToolSection(Section):
-    """A value from a second tool, compared with the value that maxq computes."""
+    """A value from a second tool, for comparison with the value that maxq computes."""
 
     tool: BoardText = Field(description="the tool and its version")
     file: BoardText = Field(description="file or report with the value")
@@ -120,18 +120,18 @@ class SecondToolSection(Section):
 
     @property
     def where(self) -> str:
-        """Return the operating point or the flight."""
+        """Return the operating point or the flight as text."""
         return self.flight if self.flight is not None else f"{self.time_s:g} s, {self.plane}"
 
     @property
     def about(self) -> str:
-        """Return the quantity with its place and tool, the name of its requirement."""
+        """Return the quantity, its operating point or flight, and the tool. This is the name of the requirement."""
         what = self.quantity if self.flight is not None else MEASURED[self.quantity].label
         return f"{what} ({self.where}) by {self.tool}"
 
 
 class BoardSection(Section):
-    """Statements of people for a review board, about one vehicle."""
+    """The statements about one vehicle for a review board."""
 
     vehicle: BoardText = Field(description="name of the vehicle that the statements are about")
     pedigree: tuple[PedigreeSection, ...] = optional("inputs with their source and use history", ())

@@ -1,4 +1,4 @@
-"""The findings of a verification for a review board: inputs, fault cases, deviations by kind, values of a second tool.
+"""The findings of a verification for a review board: inputs, fault cases, deviations by kind, second-tool values.
 
 `check_board` compares the statements of [board] with the inputs, before any flight.
 """
@@ -47,17 +47,17 @@ _CONFIDENCE = 0.90
 
 @dataclass(frozen=True)
 class FaultCase:
-    """A flight of the suite with a fault. `probability` is None if the suite does not give it."""
+    """A flight of the suite with a fault. `probability` is None if the suite does not state it."""
 
     name: str
     probability: float | None
     met: bool
-    counts: bool  # a miss rejects
+    counts: bool  # True if a miss rejects the design
 
 
 @dataclass(frozen=True)
 class SecondToolValue:
-    """A value by a second tool with maxq's own, NaN if there is none."""
+    """A value from a second tool and the value of maxq, which is NaN if it does not exist."""
 
     given: SecondToolSection
     own: float
@@ -70,9 +70,9 @@ class SecondToolValue:
 
 @dataclass(frozen=True)
 class WorstThird:
-    """The third of a campaign's runs, by the value of one epistemic deviation, in which most runs miss a limit.
+    """The third of a campaign's runs in which most runs miss a limit, ranked by one epistemic deviation.
 
-    `third` is "none" if no run misses one.
+    `third` is "none" if no run misses a limit.
     """
 
     deviation: str
@@ -84,13 +84,16 @@ class WorstThird:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Return the 90 % bounds of the share of runs that miss a limit, each alone (Clopper and Pearson)."""
+        """Return the 90 % confidence bounds of the probability that a run misses a limit (Clopper and Pearson).
+
+        Each bound holds alone.
+        """
         return failure_lower(self.missed, self.runs, _CONFIDENCE), failure_upper(self.missed, self.runs, _CONFIDENCE)
 
 
 @dataclass(frozen=True)
 class CampaignDeviations:
-    """The deviations of a campaign by kind, and the worst third of each epistemic one."""
+    """The deviations of a campaign by kind, and the worst third of the runs for each epistemic deviation."""
 
     campaign: str
     kinds: dict[str, tuple[str, ...]]
@@ -99,7 +102,7 @@ class CampaignDeviations:
 
 @dataclass(frozen=True)
 class BoardFindings:
-    """The findings for a board. `inputs` are the files read, by name."""
+    """The findings for a review board. `inputs` are the names of the files that were read."""
 
     inputs: tuple[str, ...] = ()
     faults: tuple[FaultCase, ...] = ()
@@ -109,7 +112,7 @@ class BoardFindings:
 
 
 def input_name(path: Path) -> str:
-    """Return the name of a file: below scenarios/ if it is a shipped one, else relative to the working folder."""
+    """Return the name of a file: relative to scenarios/ if it is shipped, or else relative to the working folder."""
     root = scenarios_folder()
     return path.relative_to(root).as_posix() if path.is_relative_to(root) else shown(path)
 
@@ -122,7 +125,7 @@ def inputs_of(scenarios: Iterable[LoadedScenario], campaigns: Sequence[LoadedCam
 
 
 def _tables(value: Any) -> Iterator[str]:
-    """Yield the names of the files of all tables below."""
+    """Yield the file names of all tables in a tree of tables and lists."""
     if isinstance(value, dict) and isinstance(name := value.get(FILE_KEY), str):
         yield name
     for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
@@ -135,9 +138,9 @@ def check_board(
     flights: Sequence[LoadedScenario],
     campaigns: Sequence[LoadedCampaign],
 ) -> None:
-    """Raise ScenarioError for a statement about something that the verification does not have.
+    """Raise ScenarioError for a statement about a file, key, flight or vehicle that the verification does not use.
 
-    `loaded` is fitted to the vehicle; `flights` are the scenarios of its flights.
+    `loaded` is the suite fitted to the vehicle, and `flights` are the scenarios of its flights.
     """
 
     def refuse(key: str, problem: str, value: Any, known: Sequence[str]) -> None:
@@ -181,7 +184,7 @@ def _has(tree: Any, key: str) -> bool:
 def fault_cases(
     flights: Sequence[SuiteFlight], scenarios: Sequence[LoadedScenario], results: Sequence[FlownResult]
 ) -> tuple[FaultCase, ...]:
-    """Return the flights of the suite that have a fault."""
+    """Return the flights of the suite with a fault."""
     every = zip(flights, scenarios, results, strict=True)
     return tuple(
         FaultCase(f.name, f.probability, result.passed, f.design_must_keep)
@@ -191,9 +194,9 @@ def fault_cases(
 
 
 def fault_requirements(cases: Sequence[FaultCase], most: float | None) -> list[JudgedRequirement]:
-    """Judge the sum of the probabilities of the fault cases that are not met, if a largest one is given.
+    """Return the requirement on the sum of the probabilities of missed fault cases, if an upper limit is given.
 
-    The sum is undecided if a case that is not met has no probability.
+    The sum is undecided if a missed case has no probability.
     """
     if most is None:
         return []
@@ -207,12 +210,12 @@ def fault_requirements(cases: Sequence[FaultCase], most: float | None) -> list[J
 
 
 def missed_probability(cases: Iterable[FaultCase]) -> float:
-    """Return the sum of the known probabilities of the cases that are not met, a bound for any dependence of them."""
+    """Return the sum of the known probabilities of the missed cases, an upper bound for any dependence between them."""
     return sum(case.probability or 0.0 for case in cases if not case.met)
 
 
 def second_tool_values(job: Parts, results: Sequence[FlownResult]) -> tuple[SecondToolValue, ...]:
-    """Return the values of a second tool with maxq's own, of the loop as designed or of a flight."""
+    """Return the values of a second tool together with those of maxq, for the loop as designed or for a flight."""
     board, by_name = job.suite.board, {result.name: result for result in results}
     limits = job.suite.margins.dispersed if job.suite.margins is not None else LoopLimits()
 
@@ -236,7 +239,7 @@ def second_tool_values(job: Parts, results: Sequence[FlownResult]) -> tuple[Seco
 
 
 def second_tool_requirements(values: Sequence[SecondToolValue]) -> list[JudgedRequirement]:
-    """Require that maxq's own values are within the stated tolerances of those of the second tool."""
+    """Return the requirements that the values of maxq agree with those of the second tool within its tolerances."""
     out = []
     for v in values:
         known, given = math.isfinite(v.own), v.given
@@ -250,7 +253,7 @@ def second_tool_requirements(values: Sequence[SecondToolValue]) -> list[JudgedRe
 
 
 def deviations_by_kind(loaded: LoadedCampaign, result: CampaignResult) -> CampaignDeviations:
-    """Return the deviations of a campaign by kind, with the worst third of its runs for each epistemic one."""
+    """Return the deviations of a campaign by kind, and the worst third of its runs for each epistemic deviation."""
     kinds: dict[str, list[str]] = {EPISTEMIC: [], ALEATORY: [], UNSAID: []}
     for draw in loaded.plan.draws:
         kinds[draw.spec.kind or UNSAID].append(draw.label)
@@ -267,12 +270,15 @@ def deviations_by_kind(loaded: LoadedCampaign, result: CampaignResult) -> Campai
 
 
 def kinds_of(campaigns: Sequence[LoadedCampaign], results: Sequence[CampaignResult]) -> tuple[CampaignDeviations, ...]:
-    """Return the deviations by kind of each campaign that was flown."""
+    """Return the deviations by kind of each flown campaign."""
     return tuple(map(deviations_by_kind, campaigns if results else (), results))
 
 
 def worst_third(name: str, values: np.ndarray, missed: np.ndarray) -> WorstThird:
-    """Return the third of the runs, ranked by `values` (runs,), with the largest share of True in `missed` (runs,)."""
+    """Return the third of the runs, ranked by `values` (runs,), with the largest fraction of misses.
+
+    `missed` (runs,) is True for a run that misses a limit.
+    """
     thirds = np.array_split(np.argsort(values, kind="stable"), len(THIRDS))
     worst = max(range(len(THIRDS)), key=lambda k: float(missed[thirds[k]].mean()))
     count, runs = int(missed[thirds[worst]].sum()), len(thirds[worst])

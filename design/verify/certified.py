@@ -15,10 +15,10 @@ _MEASURED = "measured only"
 
 
 def measured_requirements(nodes: Sequence[MeasuredNode], limits: LoopLimits) -> list[JudgedRequirement]:
-    """Judge flight code without a linear model.
+    """Return the requirements on flight code without a linear model.
 
-    It must give the same commands for the same inputs, be stable when held, and have the margins of a linear loop's
-    limits.
+    The code must return the same commands for the same inputs, be stable at every frozen operating point, and meet the
+    margin limits of a linear loop.
     """
     if not nodes:
         return []
@@ -66,10 +66,10 @@ def certificate_requirements(
     through: Sequence[InFlightResponse],
     again: Callable[[NodeCertificate | InFlightResponse], str] = lambda node: "",
 ) -> list[JudgedRequirement]:
-    """Require that flight and linear loop agree at every operating point, and that each difference in flight is
-    explained.
+    """Return the requirements that flight and linear loop agree at every operating point.
 
-    With adaptation, the measured gain margins must extend beyond the limits of the total gain.
+    Each difference of an in-flight response must be explained. With adaptation, the measured gain margins must exceed
+    the limits of the total gain. `again` returns the command that repeats a measurement.
     """
     out = []
 

@@ -1,4 +1,4 @@
-"""The comparison of a suite with the basis of the design that it judges: by their limits and loops."""
+"""The comparison of a suite with the basis of the design under test, with respect to limits and loops."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ IMPLIED = {
     "second_mode_db": ("modes_from_2_db",),
     "modes_from_3_db": ("modes_from_2_db",),
 }
-"""The limits of a suite that together correspond to one of a design."""
+"""The limits of a suite that together correspond to a limit of a design."""
 OF_THE_LAW = ("filter_gain_at_infinity", "integral_hz", "most_integral_hz")
-"""The limits of the law itself, which no suite requires."""
+"""The limits of the law itself, which suites do not contain."""
 
 
 def against_basis(suite: Suite, scenario: LoadedScenario) -> list[str]:
-    """Return a line on each difference between the linear margins of a suite and the basis of a scenario's design.
+    """Return a line for each difference between the linear margins of a suite and the basis of a scenario's design.
 
-    Returns None if the suite measures no margins or the design states no basis. Raises ScenarioError for an invalid
+    The result is empty if the suite has no margins, or if the design has no basis. Raises ScenarioError for an invalid
     basis.
     """
     design, count = scenario.design, len(scenario.vehicle.stage)
@@ -68,7 +68,7 @@ def _differences(margins: LinearMargins, basis: Basis) -> list[str]:
 
 
 def _wanted(limits: Any, key: str) -> Any:
-    """Return the suite's requirement for a limit of the design, or None if the suite has none or only part of it."""
+    """Return the suite's limit for a limit of the design, or None if the suite does not cover it fully."""
     own = getattr(limits, key, None)
     if own is not None or key not in IMPLIED:
         return own

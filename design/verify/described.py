@@ -1,4 +1,4 @@
-"""The description of the deviations of the vehicles in a suite's margins: its campaign's draws, or its own."""
+"""The description of the dispersed vehicles in a suite's margins: draws of a campaign, or normal deviations."""
 
 from __future__ import annotations
 
@@ -18,11 +18,9 @@ NORMAL = "normal deviations of [margins.three_sigma]"
 
 @dataclass(frozen=True)
 class DescribedVehicles:
-    """The dispersed vehicles of `wanted` in a suite that flies `campaign`.
+    """The dispersed vehicles of the margins `wanted`, in a suite that flies `campaign`.
 
-    `changes` are those of design and vehicle, key=value.
-
-    `base` is the scenario to which the suite's own deviations apply.
+    `base` is the scenario to which normal deviations apply. `changes` are the changes of design and vehicle, key=value.
     """
 
     wanted: LinearMargins
@@ -32,18 +30,19 @@ class DescribedVehicles:
 
     @cached_property
     def named(self) -> LoadedCampaign | None:
-        """Return the campaign whose draws the vehicles have: that of the suite, unless its margins have their own
-        deviations.
+        """Return the campaign whose draws the vehicles have, or None if the margins have their own deviations.
+
+        The default is the campaign of the suite.
         """
         if self.wanted.three_sigma.campaign is not None:
             return load_campaign(self.wanted.three_sigma.campaign, self.changes)
         return None if "three_sigma" in self.wanted.model_fields_set else self.campaign
 
     def at(self, node: Node) -> LoadedCampaign:
-        """Return the campaign of the vehicles at an operating point: `named` if it changes the loop, else that of
-        `three_sigma`.
+        """Return the campaign of the vehicles at an operating point.
 
-        Raises ScenarioError if a campaign of the suite's margins changes nothing there.
+        It is `named` if that changes the loop, or else `three_sigma`. Raises ScenarioError if a campaign of the suite's
+        margins changes nothing at the operating point.
         """
         named, own = self.named, self.wanted.three_sigma
         if named is not None and deviations_of(named, node).places:
@@ -51,7 +50,7 @@ class DescribedVehicles:
         return acting_at(campaign_of(own, self.base, self.wanted.seed), own, node)
 
     def text(self, nodes: Sequence[Node]) -> str:
-        """Return the description at operating points as text, with its draws that no margin includes."""
+        """Return the description at operating points as text, with the draws that no margin includes."""
         named, flies = self.named, self.campaign
         if named is None:
             own = "the suite has no campaign" if flies is None else f"not draws of campaign {flies.name}"

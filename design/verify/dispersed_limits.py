@@ -1,11 +1,12 @@
-"""The dispersed limits of a robust basis: a search at operating points for the vehicles that come nearest to them.
+"""The dispersed limits of a robust basis: a search at operating points for the vehicles with the smallest margins.
 
-Vehicles are those of `[basis.robust]`: each deviation is up to `corner_sigmas` either way. At an operating point, the
-search goes from several corners of that box to one that no single deviation makes worse (`descent.to_corner`). At the
-worst operating points it continues with a descent that also leaves the corners (`descent.descend`). The minimised value
-is the least remaining share of a limit, over the limits that the margin sweep measures (`guides`). Between operating
-points, the worst vehicles of the neighbours are measured, and the descent is repeated where they are worst. The search
-gives no bound: other vehicles of the box may be worse than those found.
+The vehicles are those of `[basis.robust]`, with each deviation up to `corner_sigmas` in both directions. At an
+operating point, the search moves from several corners of that box to one that no single deviation makes worse
+(`descent.to_corner`). At the worst operating points it continues with a descent that may leave the corners
+(`descent.descend`). The minimised value is the least relative margin to a limit, over the limits that the margin sweep
+measures (`guides`). Between operating points, the worst vehicles of the neighbouring points are measured, and the
+descent is repeated where they are worst. The search gives no bound: other vehicles of the box may be worse than those
+found.
 """
 
 from __future__ import annotations
@@ -29,14 +30,15 @@ from maxq.design.verify.memory import counted
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.scenario.schema_design import Design
 
-CORNERS = 4  # from which a search at an operating point begins
-REFINED = 3  # operating points, and instants between them, at which a descent leaves the corners
+CORNERS = 4  # starting corners per operating point
+REFINED = 3  # operating points, and instants between them, with a descent that may leave the corners
 SEED = 1
-_LOST, _FREE = -1.0, 10.0  # value of an unstable loop, and of one that nothing limits
+_LOST, _FREE = -1.0, 10.0  # value of an unstable loop, and of a loop without an active limit
 
 Rooms = Callable[[Sequence[Array]], list[float]]
-"""A function that returns the least remaining share of a limit at scores (places,) in units of three sigma, or -1
-for an unstable loop.
+"""A function that returns the least relative margin to a limit at each vector of scores (places,), or -1 if unstable.
+
+Scores are in units of 3 sigma.
 """
 
 
@@ -44,8 +46,8 @@ for an unstable loop.
 class WorstOfBasis:
     """The worst vehicles found, one per operating point or instant, in the order of time.
 
-    `guides` are the labels of the limits that were searched for. `loops` is the number measured in all, and `instants`
-    that of the instants tried between the operating points.
+    `guides` are the labels of the limits in the search. `loops` is the total number of loops measured, and `instants`
+    the number of instants examined between the operating points.
     """
 
     nodes: tuple[Node, ...]
@@ -62,7 +64,7 @@ class WorstOfBasis:
 
 
 def guides(limits: LoadLimits) -> dict[str, float]:
-    """Return the limits of the margin sweep (`SWEPT`) that those of dispersed vehicles imply, by key."""
+    """Return the limits of the margin sweep (`SWEPT`) that the limits of dispersed vehicles imply, by key."""
     out: dict[str, float] = {}
     for key, limit in Wanted.of(limits).limits.items():
         for part in (key,) if key in SWEPT else IMPLIED.get(key, ()):
@@ -72,7 +74,7 @@ def guides(limits: LoadLimits) -> dict[str, float]:
 
 
 def rooms(node: Node, design: Design, campaign: LoadedCampaign, wanted: Mapping[str, float]) -> Rooms:
-    """Return a function of the scores of vehicles at an operating point. `wanted` contains limits by key of SWEPT."""
+    """Return the function of scores to be minimised at an operating point. `wanted` contains limits by key of SWEPT."""
     deviations, swept = deviations_of(campaign, node), SweptVehicles(node, design, LoopLimits())
 
     def at(every: Sequence[Array]) -> list[float]:
@@ -97,7 +99,10 @@ def worst_of_basis(
     watch: Callable[[int, int], None] = lambda done, of: None,
     workers: int = 2,
 ) -> WorstOfBasis:
-    """Search the vehicles of a robust basis at the operating points of one stage, and at instants between them."""
+    """Return the worst vehicles of a robust basis at the operating points of one stage.
+
+    The instants `between` them are searched, too.
+    """
     wanted, region = guides(robust.limits), Region("box", robust.corner_sigmas / 3.0)
     tried: list[int] = []
 
@@ -114,7 +119,9 @@ def worst_of_basis(
         fields, look = deviations_of(campaign, node).fields, looked(node)
         rng = np.random.default_rng([SEED, round(1e3 * node.time_s)])
         starts = [rng.choice([-1.0, 1.0], len(fields)) for _ in range(CORNERS)]
-        for end, start in zip((-1.0, 1.0), starts, strict=False):  # modes off: at one end, large at the gyro
+        for end, start in zip(
+            (-1.0, 1.0), starts, strict=False
+        ):  # modes at one end of their frequency, with large slopes at the gyro
             start[[k for k, name in enumerate(fields) if name == "bending_frequency"]] = end
             start[[k for k, name in enumerate(fields) if name == "bending_slope"]] = 1.0
         found = [to_corner(look, start, region) for start in starts]

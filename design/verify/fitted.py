@@ -1,9 +1,9 @@
-"""A suite fitted to a vehicle: the values that its flights take from the vehicle and from its own flight, as numbers.
+"""A suite fitted to a vehicle, with numbers in place of marks for quantities of the vehicle and of its flight.
 
 A suite for any vehicle contains no number of a tank, mode or engine and no time in seconds. `*` in a key represents
 each element of a list (vehicle.stage.*.tank.*.damping_ratio). `scale` and `add` change values of the vehicle. Marks
-represent quantities that are known after its flight: ${max_q_s + 0.2}. The result is a suite of plain `key=value`
-changes. A flight that needs a part that the vehicle does not have is omitted and reported.
+represent quantities that are known after a flight of the vehicle: ${max_q_s + 0.2}. The result is a suite of plain
+`key=value` changes. A flight that requires a part that the vehicle does not have is omitted and reported.
 """
 
 from __future__ import annotations
@@ -31,30 +31,30 @@ from maxq.sim.scenario.schema_scenario import LogSection
 _TUNED = ("mode_1", "mode_2", "slosh")
 _PLACES = ("max_q", "before_max_q", "after_max_q")
 NAMES = (
-    # of the largest dynamic pressure under thrust, and of four fifths of it before and after (the last burnout if
-    # thrust ends sooner); gusts: height climbed in a period of mode or slosh
+    # time and altitude of the largest dynamic pressure under thrust, and of 0.8 times it before and after (the last
+    # burnout if thrust ends earlier); gust lengths: height climbed in a period of mode or slosh
     *(f"{at}_{what}" for at in _PLACES for what in ("s", "altitude_m", *(f"{x}_gust_m" for x in _TUNED))),
-    "limit_wind",  # the suite's key: a wind profile
-    "stage",  # its number, from 0; only with each_stage, as ignition and the marks after it
-    "outer_engine",  # number of the engine of the core farthest from the axis, of several; only with each_stage
-    "burnout_s",  # of the last stage
-    "sample_s",  # of the first stage's computer
-    "longer_s",  # half of that, or the remainder that the computer's delay permits
-    "gimbal_limit_deg",  # the least angle of all actuators and computers
-    "gimbal_rate_limit_degps",  # the least rate of all actuators
-    "ignition_s",  # of the stage, or liftoff
-    "early_s",  # a fifth of its burn
-    "strongest_s",  # of the largest dynamic pressure in its burn
-    "late_s",  # three quarters of its burn
-    "stage_burnout_s",  # end of its burn
-    "gimbal_moment_Nm",  # by one degree of all gimbals, at the strongest instant
+    "limit_wind",  # wind profile of the suite's key
+    "stage",  # number of the stage, from 0; stage marks and those after ignition only with each_stage
+    "outer_engine",  # number of the core engine farthest from the axis, if there are several; only with each_stage
+    "burnout_s",  # burnout of the last stage
+    "sample_s",  # sample period of the first stage's computer
+    "longer_s",  # half of the sample, or less if the computer's delay requires it
+    "gimbal_limit_deg",  # least angle limit of all actuators and computers
+    "gimbal_rate_limit_degps",  # least rate limit of all actuators
+    "ignition_s",  # ignition of the stage, or liftoff
+    "early_s",  # a fifth of the stage's burn
+    "strongest_s",  # largest dynamic pressure in the stage's burn
+    "late_s",  # three quarters of the stage's burn
+    "stage_burnout_s",  # end of the stage's burn
+    "gimbal_moment_Nm",  # moment of one degree of all gimbals, at strongest_s
 )
 """The marks that a suite may contain."""
 _MARK = re.compile(r"\$\{\s*([\w.]+)\s*(?:([+*-])\s*([0-9.eE+-]+)\s*)?\}|\$(\w+)")
-_LONGEST_M = 1000.0  # of a gust; beyond it is the wind profile
-_STRONG = 0.8  # of the largest dynamic pressure
-_EARLY, _LATE = 0.2, 0.75  # of a burn
-_CLEAR_S = 1.0  # of its ends, where a part fails
+_LONGEST_M = 1000.0  # longest gust; longer ones belong to the wind profile
+_STRONG = 0.8  # fraction of the largest dynamic pressure
+_EARLY, _LATE = 0.2, 0.75  # fractions of a burn
+_CLEAR_S = 1.0  # least distance of a failure from the ends of a burn
 
 Marks = dict[str, float | int | str]
 
@@ -64,9 +64,10 @@ class _Missing(Exception):
 
 
 def fit(loaded: LoadedSuite, base: LoadedScenario, memory: PartsOnDisk) -> LoadedSuite:
-    """Return the suite for the vehicle of `base`, which is flown if a mark is used. A fitted suite remains unchanged.
+    """Return the suite for the vehicle of `base`, which is flown if a mark is used.
 
-    Raises ScenarioError for an unknown mark, or one in a place where it has no value for any vehicle.
+    A fitted suite is returned unchanged. Raises ScenarioError for an unknown mark, and for a mark in a place where it
+    has no value for any vehicle.
     """
     suite = loaded.suite
     texts = [str(d.limit) for d in suite.dispersed_limit]
@@ -100,7 +101,7 @@ def fit(loaded: LoadedSuite, base: LoadedScenario, memory: PartsOnDisk) -> Loade
 
 
 def named(loaded: LoadedSuite, base: LoadedScenario) -> LoadedSuite:
-    """Return the suite with the names that `fit` gives its flights, without flying."""
+    """Return the suite with the flight names that `fit` would assign, without a flight."""
     stages, flights = range(len(base.vehicle.stage)), []
     for flown in loaded.suite.flight:
         names = [flown.name, *(f"{flown.name}, {_called(base, n)}" for n in stages if flown.each_stage)]
@@ -136,14 +137,14 @@ def _fitted(flown: SuiteFlight, base: LoadedScenario, marks: Marks, label: str, 
 
 
 def _changed(value: Any, by: float, how: Callable[[float, float], float]) -> Any:
-    """Return a changed number of the vehicle, or each in a list."""
+    """Return a number of the vehicle, or each number of a list, changed by `how`."""
     return [_changed(one, by, how) for one in value] if isinstance(value, tuple) else round(how(float(value), by), 9)
 
 
 def _places(at: Any, parts: list[str], path: str = "") -> Iterator[tuple[str, Any]]:
-    """Return the keys and values that match a pattern.
+    """Yield the keys and values that match a pattern.
 
-    `*` at a section that could be a list matches the section itself.
+    `*` at a section that could also be a list matches the section itself.
     """
     if not parts:
         yield path, at
@@ -161,7 +162,7 @@ def _places(at: Any, parts: list[str], path: str = "") -> Iterator[tuple[str, An
 
 
 def _filled(text: str, marks: Marks, label: str, where: str) -> str:
-    """Return a text with its marks replaced by values. Raises _Missing if the vehicle has none."""
+    """Return a text with its marks replaced by values. Raises _Missing if the vehicle has no such quantity."""
 
     def value(found: re.Match[str]) -> str:
         name = found[1] or found[4]
@@ -192,7 +193,7 @@ def _number(given: float | str, marks: Marks, label: str, where: str) -> float:
 
 
 def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
-    """Return the instants of the whole flight, and of each stage that burns."""
+    """Return the marks of the whole flight, and those of each stage that burns."""
     log = LogSection(fast_hz=10.0, slow_hz=10.0, transform_hz=1.0)
     quiet = base.scenario.model_copy(update={"log": log, "fault": ()})
     flight, spans = fly(LoadedScenario(quiet, base.label, base.files)), powered_spans(base)
@@ -231,7 +232,7 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
         }
         moment = abs(node.derivatives.m_delta_1ps2) * node.vehicle.total_inertia_kgm2
         mine["gimbal_moment_Nm"] = float(f"{math.radians(1.0) * moment:.3g}")
-        engines = base.vehicle.stage[span.stage].own_engines  # a lost booster is no engine-out of the core
+        engines = base.vehicle.stage[span.stage].own_engines  # the loss of a booster is not an engine-out of the core
         if len(engines) > 1:
             off = [math.hypot(*engine.offset_m) for engine in engines]
             mine["outer_engine"] = int(np.argmax(off))
@@ -240,7 +241,7 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
 
 
 def _tones_hz(node: Node) -> dict[str, float]:
-    """Return the frequencies of the first two bending modes and of the slowest slosh, as far as they exist."""
+    """Return the frequencies (Hz) of the first two bending modes and of the slowest slosh mode, if they exist."""
     modes = np.sort(np.abs(node.vehicle.omega_radps)) / (2.0 * math.pi)
     out = {f"mode_{k + 1}": float(hz) for k, hz in enumerate(modes[:2])}
     bobs = node.vehicle.pendulums
@@ -251,9 +252,10 @@ def _tones_hz(node: Node) -> dict[str, float]:
 
 
 def _computers(base: LoadedScenario) -> Marks:
-    """Return the first computer's sample, and half of it or the remainder that every computer's delay permits.
+    """Return the marks of computers and gimbals.
 
-    Return also the least limits of the gimbals, if there are any.
+    They are the sample period of the first computer, half of it or the remainder that every computer's delay permits,
+    and the least gimbal limits.
     """
     vehicle = base.vehicle
     computers = [c for n in range(len(vehicle.stage)) if (c := vehicle.computer_of(n)) is not None]

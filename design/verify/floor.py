@@ -1,8 +1,8 @@
 """The floor of an acceptance: the evidence without which a verification is a screening, for any suite.
 
-A suite sets its own levels, numbers and limits, and one flight of a second can meet them all. Therefore, the word
-ACCEPTED requires the evidence of `FLOOR`, which no suite lowers, and a suite that is not looser than its baseline. A
-screening can reject a design. Its best outcome is PASSED SCREENING.
+A suite defines its own levels, numbers and limits, and a single flight of one second could meet them all. The word
+ACCEPTED therefore requires the evidence of `FLOOR`, which no suite can lower, and a suite that is not looser than its
+baseline. A screening can reject a design. Its best outcome is PASSED SCREENING.
 """
 
 from __future__ import annotations
@@ -28,35 +28,33 @@ from maxq.sim.scenario.schema_vehicle import ComputerSection, Vehicle
 
 @dataclass(frozen=True)
 class Floor:
-    """The least evidence of an acceptance.
+    """The minimum evidence of an acceptance.
 
-    `gap` is the share of a stage's powered flight without an operating point.
+    `gap` is the largest permitted fraction of a stage's powered flight without an operating point.
     """
 
     success: float = 0.9973
     confidence: float = 0.90
-    runs: int = 852  # the fewest for this success and confidence, by the fixed test and without failure
+    runs: int = 852  # smallest number for this success and confidence, by the fixed test without failure
     gap: float = 0.15
     planes: tuple[Plane, ...] = ("pitch", "yaw")
     limits: tuple[str, ...] = ("gain_up_db", "gain_down_db", "rigid_phase_deg", "delay_ms")
 
 
 FLOOR = Floor()
-"""The three-sigma level of a normal quantity with a consumer's risk of one in ten (NASA/TP-2010-216447), over the
-whole burn.
-"""
+"""The 3-sigma level of a normal quantity with a consumer's risk of 10 % (NASA/TP-2010-216447), over the whole burn."""
 
 _WHOLE = {name: field.default for name, field in Switches.model_fields.items() if field.default is not False}
-"""The switches of the whole model. Parts that are off by default are additions to it."""
+"""The switches of the complete model, without those that are off by default."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """The properties of a verification on which its floor depends.
+    """The properties of a verification on which the floor depends.
 
-    `points_s`: operating points (s) by part ("margins", "certificate") and by stage, from 0. `campaigns`: those of the
-    suite, in its order. `flights`: scenarios of the flights whose failure rejects the design. `in_flight`: planes
-    measured in the ascent.
+    `points_s` are the operating points (s) by part ("margins", "certificate") and by stage, from 0. `campaigns` are
+    those of the suite, in its order. `flights` are the scenarios of the flights whose failure rejects the design.
+    `in_flight` are the planes measured in the ascent.
     """
 
     suite: Suite
@@ -64,13 +62,13 @@ class Evidence:
     spans: Sequence[Span]
     points_s: Mapping[str, Mapping[int, Sequence[float]]]
     vehicles: Sequence[tuple[LoadedCampaign, Node]]
-    linear: bool  # False of flight code without a linear model
+    linear: bool  # False for flight code without a linear model
     flights: Sequence[Scenario]
     campaigns: Sequence[LoadedCampaign]
     in_flight: frozenset[str]
-    guarded: bool = True  # flight code, if any, runs in a process of its own
-    judged: Scenario | None = None  # whose design and flight code all flights and campaigns must have
-    loosened: str = ""  # than the baseline, as text
+    guarded: bool = True  # True if flight code, if any, runs in a separate process
+    judged: Scenario | None = None  # scenario whose design and flight code all flights and campaigns must have
+    loosened: str = ""  # differences that loosen the suite, as text
 
 
 def missing_evidence(e: Evidence) -> tuple[str, ...]:
@@ -115,7 +113,7 @@ def _flights(e: Evidence) -> Iterator[str]:
 
 
 def _control(e: Evidence) -> Iterator[str]:
-    """Yield the flights and campaigns that fly another design or flight code, and code that no hash covers."""
+    """Yield phrases for flights and campaigns with another design or flight code, and for code that no hash covers."""
     if e.judged is None:
         return
     judged = control_hash(e.judged)
@@ -138,14 +136,14 @@ def computers_of(scenario: Scenario) -> list[ComputerSection]:
 
 
 def control_hash(scenario: Scenario) -> str:
-    """Return the SHA-256 of the design, and of the keys of all computers that belong to the flight code."""
+    """Return the SHA-256 of the design and of those keys of all computers that belong to the flight code."""
     computers = [told(computer) for computer in computers_of(scenario)]
     code = [{key: value for key, value in computer.items() if key in UNDER_TEST} for computer in computers]
     return content_hash(told(scenario.design) if scenario.design is not None else None, code)
 
 
 def _short(e: Evidence, scenario: Scenario) -> Iterator[str]:
-    """Yield the parts of the powered flight that a scenario does not fly."""
+    """Yield phrases for the parts of the powered flight that a scenario does not cover."""
     begin_s, end_s = scenario.run.start_s, scenario.run.start_s + scenario.run.duration_s
     if e.spans and begin_s > e.spans[0].begin_s:
         yield f"flown from {begin_s:g} s, not from liftoff at {e.spans[0].begin_s:.4g} s"
@@ -172,7 +170,7 @@ def _campaign(e: Evidence, wanted: CampaignWanted, campaign: LoadedCampaign) -> 
 
 
 def _wide(campaign: LoadedCampaign) -> list[str]:
-    """Return the keys of all quantities that differ from run to run."""
+    """Return the keys of all quantities that vary between runs."""
     boxes = campaign.boxes()
     draws = [d for d in campaign.plan.draws if d.name not in boxes or boxes[d.name][0] < boxes[d.name][1]]
     return [target.key for d in draws for target in d.targets]
@@ -184,7 +182,7 @@ def _deviates(stage: int, part: str, key: str) -> bool:
 
 
 def _parts(vehicle: Vehicle) -> list[tuple[int, str]]:
-    """Return the stages, from 0, with their parts that a campaign disperses, by their keys."""
+    """Return the parts that a campaign can disperse, by key, each with its stage from 0."""
     out = []
     for n, stage in enumerate(vehicle.stage):
         has = {
@@ -234,7 +232,7 @@ def _points(e: Evidence, part: str, wanted: LinearMargins | CertificateWanted) -
 
 
 def in_wind(scenario: Scenario) -> bool:
-    """Return True for a scenario with a wind of some speed."""
+    """Return True for a scenario with a nonzero wind."""
     wind = scenario.wind
     if wind.factor == 0.0:
         return False
@@ -244,7 +242,7 @@ def in_wind(scenario: Scenario) -> bool:
 
 
 def switched_off(scenario: Scenario) -> list[str]:
-    """Return the keys by which parts of the model are off, ideal or frozen, `key = value` each."""
+    """Return the keys that switch off, idealise or freeze parts of the model, as `key = value` each."""
     values = {name: getattr(scenario.switches, name) for name in _WHOLE}
     frozen_s = scenario.run.freeze_vehicle_at_s
     out = [] if frozen_s is None else [f"run.freeze_vehicle_at_s = {frozen_s:g}"]

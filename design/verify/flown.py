@@ -1,4 +1,4 @@
-"""The flights of a suite: scenarios, judged by their requirements, and campaigns, judged with a required confidence."""
+"""The flights of a suite: scenarios, assessed by their requirements, and campaigns, assessed with a confidence."""
 
 from __future__ import annotations
 
@@ -39,18 +39,19 @@ KEPT = ("gimbal_pitch_angle_deg", "gimbal_yaw_angle_deg", "error_pitch_deg", "er
 KEPT_HZ = 20.0
 _POLL_S = 0.2
 LAW_SHARE, LAW_LEAST_DEG = 0.05, 1.0
-"""The allowed difference of gimbal angles of flight code from those of its design, a share of the largest of these.
+"""The allowed difference between the gimbal angles of flight code and of its design, relative to the largest angle.
 
-Smaller largest angles count as `LAW_LEAST_DEG`. A gain that is 0.2 dB off, as a certificate permits, gives 2.3 %.
+The reference angle is at least `LAW_LEAST_DEG`. A gain error of 0.2 dB, which a certificate permits, gives 2.3 %.
 """
 
 
 @dataclass(frozen=True)
 class FlownResult:
-    """The result of a flight of the suite. `time_s` and `histories` (by channel) are those under thrust, decimated.
+    """The result of a flight of the suite.
 
-    `law_share`: the largest difference of gimbal angles of flight code from a flight with its design, as a share
-    (`LAW_SHARE`); nan without code or design, and with faults.
+    `time_s` and `histories` (by channel) cover the flight under thrust and are decimated. `law_share` is the largest
+    difference between gimbal angles of flight code and of a flight with its design, relative to the largest angle
+    (`LAW_SHARE`). It is nan without code or design, and with faults.
     """
 
     name: str
@@ -77,7 +78,7 @@ class FlownResult:
 
 
 def _room(v: Verdict) -> float:
-    """Return the remaining share of the bound. For a bound of zero, return 1 if it is met and -1 if not."""
+    """Return the relative margin to the bound. For a bound of zero, return 1 if it is met and -1 otherwise."""
     kind, bound = v.bound
     if bound == 0.0:
         return 1.0 if v.met else -1.0
@@ -86,7 +87,7 @@ def _room(v: Verdict) -> float:
 
 
 def design_changes(design: str, vehicle: str | None) -> list[str]:
-    """Return the overrides of a scenario or campaign: the design, and the vehicle instead of its own.
+    """Return the changes of a scenario or campaign that select the design, and optionally another vehicle.
 
     `design` may be flight code (`flight_code_key`), which flies without a design.
     """
@@ -100,7 +101,10 @@ def design_changes(design: str, vehicle: str | None) -> list[str]:
 def load_flight(
     loaded_suite: LoadedSuite, flown: SuiteFlight, design: str, vehicle: str | None
 ) -> tuple[LoadedScenario, list[str]]:
-    """Load the scenario of one flight with the design and the changes. Raises ScenarioError."""
+    """Load the scenario of one flight with the design and the changes. Return it with all changes.
+
+    Raises ScenarioError.
+    """
     name, changes = flown.scenario or loaded_suite.suite.scenario, [*design_changes(design, vehicle), *flown.set]
     loaded = load_scenario(name, changes)
     more = suite.limit_changes(loaded_suite, flown.limits, loaded.scenario)
@@ -114,7 +118,7 @@ def fly_suite(
     watch: Callable[[int, int], None],
     workers: int,
 ) -> list[FlownResult]:
-    """Fly all flights in the suite's order. `loaded` contains the result of `load_flight` for each."""
+    """Fly all flights in the order of the suite. `loaded` contains the result of `load_flight` for each."""
     flights = loaded_suite.suite.flight
 
     def one(flown: SuiteFlight, job: tuple[LoadedScenario, list[str]]) -> FlownResult:
@@ -128,7 +132,7 @@ def fly_suite(
 
 
 def fly_alone(flown: SuiteFlight, loaded: LoadedScenario, again: str) -> FlownResult:
-    """Fly one flight of a suite; `again`: the command that repeats it."""
+    """Fly one flight of a suite. `again` is the command that repeats it."""
     log = LogSection(fast_hz=KEPT_HZ, slow_hz=KEPT_HZ, transform_hz=1.0)
     scenario = loaded.scenario.model_copy(update={"log": log})
     flight = fly(LoadedScenario(scenario, loaded.label, loaded.files))
@@ -158,16 +162,16 @@ def fly_alone(flown: SuiteFlight, loaded: LoadedScenario, again: str) -> FlownRe
 
 
 def _histories(flight: Flight) -> tuple[Array, dict[str, Array]]:
-    """Return the decimated times under thrust, s, and the kept channels there."""
+    """Return the decimated times under thrust, s, and the kept channels at these times."""
     times = flight.time_s(KEPT[0])
     under_thrust = times[times <= np.nanmin([flight.event_s("burnout"), flight.end_s])]
     return under_thrust, {n: np.round(np.interp(under_thrust, flight.time_s(n), flight[n]), 6) for n in KEPT}
 
 
 def _by_design(scenario: Scenario) -> Scenario | None:
-    """Return a scenario of flight code with the law of its design instead, or None without code or design.
+    """Return a scenario with the law of its design in place of flight code, or None without code or design.
 
-    The result is None with faults, too: code may change its law when it detects one.
+    The result is also None for a scenario with faults, since code may change its law when it detects a fault.
     """
     computer = scenario.vehicle.computer
     if scenario.design is None or scenario.fault or computer is None or computer.law != "external":
@@ -177,13 +181,16 @@ def _by_design(scenario: Scenario) -> Scenario | None:
 
 
 def _said(v: Verdict) -> str:
-    """Return the name, value and unit of a flight's requirement."""
+    """Return the name, value and unit of a flight's requirement as text."""
     unit = unit_of(v.requirement.metric)
     return f"{v.name} {v.value:.4g}" + (f" {unit}" if unit != "1" else "")
 
 
 def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequirement]:
-    """Return a requirement for each flight that counts: the flight meets all requirements of its scenario."""
+    """Return one requirement for each flight that counts: the flight meets all requirements of its scenario.
+
+    A comparison of flight code with its design is added where it exists.
+    """
     out = []
     for r in results:
         worst = r.tightest
@@ -204,9 +211,10 @@ def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequiremen
 
 
 def _law_requirement(results: Sequence[FlownResult]) -> list[JudgedRequirement]:
-    """Require that flight code steers as its design in every flight without a fault, where nothing is excited.
+    """Return the requirement that flight code and its design have the same gimbal angles.
 
-    The certificate compares both where the code could recognise the excitation.
+    It applies to every flight without a fault. These flights contain no excitation. In a certificate, flight code could
+    recognise the excitation.
     """
     compared = [r for r in results if math.isfinite(r.law_share)]
     if not compared:
@@ -224,7 +232,7 @@ def _law_requirement(results: Sequence[FlownResult]) -> list[JudgedRequirement]:
 class CampaignResult:
     """The result of a flown campaign, and its verdict on each requirement.
 
-    The first requirement is that control is kept, the last that a flight meets all requirements.
+    The first requirement is that control is kept, and the last that a flight meets all requirements.
     """
 
     name: str
@@ -236,18 +244,18 @@ class CampaignResult:
     confidence: float
     verdicts: tuple[Judged, ...]
     why: str
-    first_lost: Lost | None  # the first run that lost control or did not reach its end
+    first_lost: Lost | None  # first run that lost control or did not reach its end
     months: tuple[Month, ...] = ()
-    availability: float | None = None  # that is required in each of them
-    fixed: bool = True  # the number of runs was recorded beforehand
+    availability: float | None = None  # required availability in each month
+    fixed: bool = True  # True if the number of runs was recorded beforehand
     finer: Mapping[int, int] = field(default_factory=dict)  # halvings of the step by run (`finer_runs`)
-    recalled: int = 0  # runs that an earlier verification had flown
-    reflown: tuple[int, ...] = ()  # of these, flown again and compared
+    recalled: int = 0  # runs from earlier verifications
+    reflown: tuple[int, ...] = ()  # recalled runs that were flown again for comparison
     differing: tuple[str, ...] = ()
 
 
 def load_wanted(loaded_suite: LoadedSuite, wanted: CampaignWanted, design: str, vehicle: str | None) -> LoadedCampaign:
-    """Load the campaign with the design, and with the suite's numbers and limits. Raises ScenarioError."""
+    """Load the campaign with the design, and with the numbers and limits of the suite. Raises ScenarioError."""
     changes = [*design_changes(design, vehicle), *wanted.set]
     loaded = load_campaign(wanted.file, changes)
     more = suite.limit_changes(loaded_suite, wanted.limits, loaded.base.scenario)
@@ -257,7 +265,7 @@ def load_wanted(loaded_suite: LoadedSuite, wanted: CampaignWanted, design: str, 
 
 
 def campaign_folder(loaded: LoadedCampaign, parts: Path) -> Path:
-    """Return the folder of its runs, named by a hash of all inputs, so that no run is flown twice."""
+    """Return the folder of the campaign's runs, named by a hash of all inputs so that no run is flown twice."""
     said = description_of(loaded)
     drawn = {
         key: loaded.file.campaign.model_dump(mode="json")[key]
@@ -280,10 +288,11 @@ def fly_campaign(
     sample: int = 0,
     wait: Callable[[str], None] = lambda who: None,
 ) -> CampaignResult:
-    """Fly the missing runs of a campaign, or all of them into a new folder.
+    """Fly the missing runs of a campaign, or all runs into a new folder if `afresh` is True.
 
-    If another process flies this campaign, its runs are shared: `wait` is called with its name a few times a second.
-    `sample` is the number of earlier runs that are flown again and compared. Raises ScenarioError, CampaignError.
+    If another process flies the same campaign, its runs are shared. `wait` is then called with the name of that process
+    a few times per second. `sample` is the number of earlier runs that are flown again and compared. Raises
+    ScenarioError and CampaignError.
     """
     loaded = load_wanted(loaded_suite, wanted, design, vehicle)
     folder = known = campaign_folder(loaded, parts)
@@ -308,7 +317,7 @@ def fly_campaign(
 
 
 def result_of(wanted: CampaignWanted, loaded: LoadedCampaign, folder: Path, stopped: bool = False) -> CampaignResult:
-    """Judge the runs in a folder as a campaign of a suite. Raises CampaignError."""
+    """Return the result of a suite's campaign from the runs in a folder. Raises CampaignError."""
     data = DataSet(folder, loaded, loaded.campaign.runs)
     return CampaignResult(
         wanted.name or loaded.name,
@@ -329,7 +338,7 @@ def result_of(wanted: CampaignWanted, loaded: LoadedCampaign, folder: Path, stop
 
 
 def same_run(data: DataSet, run: int) -> bool:
-    """Fly a run of a data set again, and return True where every recorded value has the same bits."""
+    """Fly a run of a data set again, and return True if every recorded value is bit-identical."""
     before, now = data.row(run), fly_rows(data.campaign, [(data.campaign.plan.draw(run, 1), run)])
     return before is not None and not differing(before, table_of(now, schema_of(data.campaign)).to_pylist()[0])
 
@@ -337,7 +346,7 @@ def same_run(data: DataSet, run: int) -> bool:
 def _of_campaign(
     result: CampaignResult, name: str, wanted: str, found: str, shown: Shown, room: float, run: int | None
 ) -> JudgedRequirement:
-    """Return a requirement of a campaign. `run` is the run that shows the result, or None if none does."""
+    """Return a requirement of a campaign. `run` is the run that shows the result, or None if there is none."""
     judgement, name = judgement_of(shown.judgement), f"{result.name}: {name}"
     if run is None:
         return JudgedRequirement("campaign", name, wanted, found, judgement, room, more_runs=shown.more)
@@ -346,7 +355,7 @@ def _of_campaign(
 
 
 def availability_requirements(result: CampaignResult, wanted: float) -> list[JudgedRequirement]:
-    """Return a requirement for each month of a campaign's winds. A month without winds is undecided."""
+    """Return a requirement for each month of a campaign's winds. Without any month, availability is undecided."""
     asked, out = f">= {100.0 * wanted:g} % with {100.0 * result.confidence:g} %", list[JudgedRequirement]()
     for month in result.months:
         shown, room = month.judged(wanted, result.confidence, result.fixed), suite.room_left(month.share, wanted, ">=")
@@ -359,8 +368,9 @@ def availability_requirements(result: CampaignResult, wanted: float) -> list[Jud
 
 
 def campaign_requirements(result: CampaignResult) -> list[JudgedRequirement]:
-    """Return a requirement for each requirement of the campaign and for all together, or for each month if its
-    availability is required.
+    """Return a requirement for each requirement of the campaign and for all of them together.
+
+    If availability is required, return a requirement for each month instead.
     """
     if result.availability is not None:
         return availability_requirements(result, result.availability)

@@ -1,6 +1,6 @@
-"""The judgement of a design at operating points: margins, peaks and rigid-body motion, and the limits on them.
+"""The assessment of a design at operating points: margins, peaks and rigid-body motion, and the limits on them.
 
-`Outcome` is the result of a case, with its design judged as it is written to the file.
+`DesignOutcome` is the result of a case, with its design assessed as written to the file.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import AdaptiveSection, Design, LoopFiltersSection, StageLaw
 
 JUDGED = (*MEASURED, "filter_gain_at_infinity", "integral_hz", "most_integral_hz")
-"""The keys of the limits by which a design is judged at its operating points, in the order in which they are shown."""
+"""The keys of the limits on a design at its operating points, in the order of reports."""
 ZONE = "clear of the {0.shape} {0.gain_db:g} dB, {0.phase_deg:g} deg"
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """The limits by which a design is judged, by key of `QUANTITIES`."""
+    """The limits on a design, by key of `QUANTITIES`."""
 
     limits: Mapping[str, float | OverTime] = field(default_factory=dict)
     zone: Zone | None = None
@@ -57,7 +57,7 @@ class Wanted:
 
     @staticmethod
     def of(limits: Any) -> Wanted:
-        """Return the limits of a section of a case or a design, without those in its `without`. None has no limits."""
+        """Return the limits of a section of a case or a design, except those in its `without`. None has no limits."""
         left_out = getattr(limits, "without", ())
         asked = {key: getattr(limits, key, None) for key in JUDGED if key not in left_out}
         known = {key: value for key, value in asked.items() if value is not None}
@@ -67,37 +67,35 @@ class Wanted:
 
     @staticmethod
     def stated_by(design: Design, stage: int = 0) -> Wanted:
-        """Return the limits in the basis of a design, or none if it states none. Raises ScenarioError."""
+        """Return the limits in the basis of a design. Without a basis there are none. Raises ScenarioError."""
         basis = stated_basis(design, stage)
         return Wanted.of(None if basis is None else basis.limits)
 
     def constant(self, key: str) -> float | None:
-        """Return a limit that does not change over time, or None if it does, or is not set."""
+        """Return a limit that is constant over time, or None if it varies or is not set."""
         limit = self.limits.get(key)
         return None if isinstance(limit, OverTime) else limit
 
 
 @dataclass(frozen=True)
 class JudgedLoop(LoopAtPoint):
-    """A loop at an operating point, and the adaptation of its design."""
+    """A loop at an operating point, with the adaptation of its design."""
 
     adaptive: AdaptiveSection | None = None
 
     @cached_property
     def budgets(self) -> dict[str, Budget]:
-        """Return the contributions to gain and phase at each crossing that sets a margin, or none for an unstable
-        loop.
-        """
+        """Return the margin budget at each crossing that determines a margin. There is none for an unstable loop."""
         return crossing_budgets(self.loop, self.margins)
 
     @property
     def gain_margin_db(self) -> float:
-        """Return the lesser of the upper and the lower gain margin over all crossings, or NaN for an unstable loop."""
+        """Return the lesser of upper and lower gain margin over all crossings, or NaN for an unstable loop."""
         return self.margins.gain_db
 
     @cached_property
     def at_total_gains(self) -> dict[float, Margins]:
-        """Return the margins at the limits of the total gain of adaptive augmenting control, or none without it."""
+        """Return the margins at the limits of the total gain of adaptive control; empty without it."""
         ends = () if self.adaptive is None else (self.adaptive.least_gain, self.adaptive.most_gain)
         loops = {gain: replace(self.loop, law=self.loop.law.scaled(gain)) for gain in ends}
         return {gain: margins(loop, resonances=self.loop.fixed.resonances()) for gain, loop in loops.items()}
@@ -105,13 +103,13 @@ class JudgedLoop(LoopAtPoint):
 
 @dataclass(frozen=True)
 class Check:
-    """A limit and the values to which it applies: one per operating point, or a single one of the filter."""
+    """A limit and the values to which it applies: one for each operating point, or a single one for the filter."""
 
     key: str
     text: str
     unit: str
     sense: Literal[">=", "<="]
-    limit: float | Array  # one each, if it changes over time
+    limit: float | Array  # one for each value, if the limit varies over time
     values: Array
     time_s: Array  # NaN for the filter
     short: str = ""  # heading of a column, if `QUANTITIES` has none
@@ -122,7 +120,7 @@ class Check:
         return QUANTITIES[self.key].heading if self.key in QUANTITIES else self.short or self.text
 
     def met(self) -> np.ndarray:
-        """Return True for each value that meets the limit. NaN, of an unstable loop, does not."""
+        """Return True for each value that meets the limit. NaN, for an unstable loop, does not meet it."""
         return np.asarray(violation(self.values, self.limit, self.sense, self.unit) <= 0.0)
 
     @property
@@ -131,7 +129,7 @@ class Check:
 
     @property
     def worst(self) -> int:
-        """Return the index of the value nearest to, or farthest beyond, the limit. An unstable loop has priority."""
+        """Return the index of the value with the least margin to the limit. An unstable loop has priority."""
         margin = self.values - self.limit if self.sense == ">=" else self.limit - self.values
         margin = margin / self.limit if np.ndim(self.limit) else margin
         bad = np.isnan(self.values) & ~self.met()
@@ -139,7 +137,7 @@ class Check:
 
     @property
     def wanted(self) -> float:
-        """Return the limit at that point."""
+        """Return the limit at the worst value."""
         return float(np.broadcast_to(self.limit, self.values.shape)[self.worst])
 
 
@@ -149,9 +147,9 @@ def judge(
     kind: LoopKind = "sampled",
     tell: Callable[[int], None] | None = None,
 ) -> list[JudgedLoop]:
-    """Return the margins of the design at every operating point, by the axis of each.
+    """Return the loops of the design at all operating points, with margins.
 
-    `tell` is called with the number done.
+    `tell` is called with the number of completed points.
     """
     out = []
     for n, loop in enumerate(loops(nodes, design, kind=kind)):
@@ -164,7 +162,7 @@ def judge(
 
 
 def checks(judged: Sequence[JudgedLoop], design: Design, wanted: Wanted) -> list[Check]:
-    """Return the checks of all limits that are set, stability first."""
+    """Return the checks of all limits that are set, with stability first."""
     time_s = np.array([j.time_s for j in judged])
     unstable = np.array([float(max(j.margins.unstable_poles, not j.margins.stable)) for j in judged])
     out = [Check("unstable_poles", "unstable poles", "", "<=", 0.0, unstable, time_s)]
@@ -200,7 +198,7 @@ def checks(judged: Sequence[JudgedLoop], design: Design, wanted: Wanted) -> list
 
 
 def motion_checks(judged: Sequence[LoopAtPoint], design: Design) -> list[Check]:
-    """Return the check of the motion of scheduled filters (design/loop/filter_motion.py), or none without them."""
+    """Return the check of the motion of scheduled filters (design/loop/filter_motion.py); empty without them."""
     values, times_s = list[float](), list[float]()
     for stage, plane in sorted({(j.node.stage, j.node.plane) for j in judged}):
         mine = [j for j in judged if (j.node.stage, j.node.plane) == (stage, plane)]
@@ -214,7 +212,10 @@ def motion_checks(judged: Sequence[LoopAtPoint], design: Design) -> list[Check]:
 
 
 def flies_as_measured(kind: str, errata: str, plant: str) -> bool:
-    """Return True for the simulator's loop and plant, on which all axes and dispersed vehicles are measured."""
+    """Return True for the simulator's own loop and plant.
+
+    Measurements of all axes and of dispersed vehicles require them.
+    """
     return (kind, errata, plant) == ("sampled", "corrected", "flown")
 
 
@@ -225,9 +226,9 @@ def margins_of_all_axes(
     basis: Basis,
     watch: Callable[[int, int], None] = lambda done, of: None,
 ) -> list[MultiloopMargins]:
-    """Return the margins of each axis with the loops of the others closed, at vehicle times (s) of a flight.
+    """Return the margins of each axis with the other loops closed, at vehicle times (s) of a flight.
 
-    The result is empty if `basis` refers to another loop or vehicle than those that fly.
+    The result is empty if `basis` refers to a loop or plant other than that of the simulator.
     """
     if not flies_as_measured(basis.loop, basis.errata, basis.plant):
         return []
@@ -235,9 +236,7 @@ def margins_of_all_axes(
 
 
 def multiloop_checks(found: Sequence[MultiloopMargins], wanted: Wanted) -> list[Check]:
-    """Return checks of the limits on gain and phase margin for each axis with the loops of the others closed, stability
-    first.
-    """
+    """Return the checks of stability, and of gain and phase margin of each axis with the other loops closed."""
     if not found:
         return []
     time_s = np.array([m.time_s for m in found])
@@ -264,11 +263,11 @@ def _clearance(j: JudgedLoop, zone: Zone) -> float:
 
 @dataclass(frozen=True)
 class InWind:
-    """A quantity at the operating points: of a design, and of the design that the scenario flies by default."""
+    """A quantity in wind at the operating points, for a design and for the default design of the scenario."""
 
     key: Key
     rms: Array  # (nodes,), nan if the loop is unstable
-    before: Array | None  # None: the scenario has no design
+    before: Array | None  # None if the scenario has no design
 
     @property
     def name(self) -> str:
@@ -281,31 +280,34 @@ class InWind:
 
 @dataclass(frozen=True)
 class DesignOutcome:
-    """A design judged by its case: on the case's own loop, as it flies, and on dispersed plants if it is robust."""
+    """The assessment of a design by its case.
+
+    It covers the case's own loop, the loop as flown, and dispersed plants of a robust case.
+    """
 
     loaded: LoadedCase
     design: Design
     judged: Sequence[JudgedLoop]
     found: Sequence[Check]
-    flown_found: Sequence[Check]  # on the sampled loop; the same as `found` if the case's loop is sampled
+    flown_found: Sequence[Check]  # on the sampled loop; equal to `found` if the case's loop is sampled
     dispersed_found: Sequence[Check]  # at the worst plants of a robust case
     wanted: Wanted
     in_wind: Sequence[InWind] = ()  # at `judged`
-    coupled_found: Sequence[Check] = ()  # of each axis with the others closed, along the design's own flight
+    coupled_found: Sequence[Check] = ()  # for each axis with the other loops closed, along the design's own flight
 
     @property
     def flies_otherwise(self) -> bool:
-        """Return True if the computer samples, and the case's loop does not."""
+        """Return True if the flight computer is sampled but the loop of the case is not."""
         return self.loaded.case.loop != "sampled" and self.judged[0].node.instruments.sample_s > 0.0
 
     @property
     def feasible(self) -> bool:
-        """Return True if all limits of the case are met. Those of the sampled loop are for information only."""
+        """Return True if all limits of the case are met. Checks on the sampled loop are for information only."""
         return all(check.passed for check in (*self.found, *self.coupled_found, *self.dispersed_found))
 
     @property
     def missed(self) -> list[str]:
-        """Return the limits that are missed, and the amounts."""
+        """Return a line for each missed limit, with the amount."""
         out = []
         for where, found in (("", (*self.found, *self.coupled_found)), (" of dispersed plants", self.dispersed_found)):
             for check in (c for c in found if not c.passed):
@@ -319,7 +321,7 @@ class DesignOutcome:
 def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] = ()) -> Design:
     """Return the design to be written, from one solution per stage.
 
-    Roll control, and stages that were not designed, are those of the scenario's own design. `missed` contains the
+    Roll control, and stages that were not designed, are taken from the scenario's own design. `missed` contains the
     stages, from 0, that miss limits along the design's own flight.
     """
     case, points, base = loaded.case, loaded.points, loaded.base
@@ -351,7 +353,7 @@ def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] 
         return first
     names = StageLaw.model_fields
     flown = [designs.get(n) or (with_law(own.of_stage(n), first) if own else first) for n in range(stages)]
-    # a stage without filters of its loops states this if another has some
+    # states the absence of loop filters if another stage has some
     none = LoopFiltersSection() if any(d.loop_filters is not None for d in flown) else None
     laws = []
     for n, d in enumerate(flown):
@@ -361,9 +363,9 @@ def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] 
 
 
 def with_law(own: Design, other: Design) -> Design:
-    """Return a stage's design as one of the law of another, whose further gains are 0 there.
+    """Return a stage's design expressed in the law of another design, with additional gains of 0.
 
-    Raises ScenarioError if it has gains that the other law does not have.
+    Raises ScenarioError if the design has gains that the other law does not have.
     """
     if own.law == other.law:
         return own
@@ -394,9 +396,9 @@ def with_law(own: Design, other: Design) -> Design:
 
 
 def objective_text(solution: Solution) -> str:
-    """Return the objective that was reached, with its name.
+    """Return the name and the value reached of the objective.
 
-    For a robust case, it is that of the worst plant found and the nominal one.
+    For a robust case, the values of the worst plant found and of the nominal plants are given.
     """
     reached = OBJECTIVES[solution.case.objective.kind].reached
     text = reached(solution.objective_db)
@@ -406,30 +408,29 @@ def objective_text(solution: Solution) -> str:
 
 
 def wanted_of(case: Case) -> Wanted:
-    """Return the limits that a case of one stage imposes."""
+    """Return the limits that a case with one stage imposes."""
     return Wanted.of(case.basis("", case.times_s).limits)
 
 
 def stage_checks(judged: Sequence[JudgedLoop], design: Design, basis: Basis, kind: LoopKind) -> list[Check]:
-    """Return all limits of a stage's basis, including those in wind."""
+    """Return the checks of all limits in a stage's basis, including those in wind."""
     nodes, here = [j.node for j in judged], basis.model_copy(update={"loop": kind})
     found = checks(judged, design, Wanted.of(basis.limits))
     return found + wind_checks(in_wind(here, nodes, design, None), basis.limits, nodes)
 
 
 def worst_times_s(found: Iterable[Check]) -> set[float]:
-    """Return the times at which limits are nearest to being missed, one per limit."""
+    """Return the times (s) at which limits have their least margins, one for each limit."""
     return {time_s for check in found if not math.isnan(time_s := float(check.time_s[check.worst]))}
 
 
 def judge_solution(
     loaded: LoadedCase, solution: Solution, design: Design | None = None, between: Sequence[OperatingPoint] = ()
 ) -> DesignOutcome:
-    """Judge the design as it is written, at the search's operating points and at the dispersed plants of a robust
-    search.
+    """Assess the design as written, at the operating points of the search.
 
-    `design` is that of all stages, if the solution is one of several. `between` contains further operating points to be
-    judged.
+    The dispersed plants of a robust search are included. `design` is the design of all stages, if the solution is one
+    of several. `between` contains additional operating points.
     """
     design, case = design or make_design(loaded, solution), loaded.case
     nodes = sorted((*solution.nodes, *between), key=lambda node: node.time_s)
@@ -452,7 +453,7 @@ def judge_solution(
 
 
 def in_wind(case: Basis, nodes: Sequence[OperatingPoint], design: Design, before: Design | None) -> list[InWind]:
-    """Return the quantities that a case or a basis can limit, at its stations, or none without a wind."""
+    """Return the quantities in wind that a case or a basis can limit, at its stations; empty without wind."""
     if case.wind is None:
         return []
     keys, rms = _rms(case, nodes, design)
@@ -461,7 +462,7 @@ def in_wind(case: Basis, nodes: Sequence[OperatingPoint], design: Design, before
 
 
 def _rms(case: Basis, nodes: Sequence[OperatingPoint], design: Design) -> tuple[list[Key], Array]:
-    """Return the quantities, and their values (quantities, nodes)."""
+    """Return the keys of the quantities in wind, and their rms values (quantities, nodes)."""
     found, keys = [], list[Key](WIND_LIMITS)
     for loop in loops(nodes, design, kind=case.loop):
         path = loop.fixed

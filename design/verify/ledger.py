@@ -1,11 +1,11 @@
 """The ledger of attempts: every verification of a vehicle, with its verdict, written before the verdict is shown.
 
-The ledger is a file of JSON lines for all vehicles, in the user's data folder and so independent of `--out`. Each line
-contains the hash of the line before it: a line that was edited, or removed from the middle, is detected. Nothing
-prevents that the whole file, or its end, is deleted; earlier packs contain copies.
+The ledger is a file of JSON lines for all vehicles, in the user's data folder and thus independent of `--out`. Each
+line contains the hash of the previous line, so that an edited line, or a line removed from the middle, is detected. A
+deletion of the whole file, or of its end, is not detected, but earlier review packs contain copies.
 
-A vehicle is identified by its name and by its content, so that neither a copy under another name nor a changed number
-has a ledger of its own.
+A vehicle is identified by its name and by its content. A copy under another name and a version with a changed number
+therefore share its ledger.
 """
 
 from __future__ import annotations
@@ -33,24 +33,25 @@ if sys.platform != "win32":
 BEGUN, ENDED, REGISTERED = "begun", "ended", "registered"
 INTERRUPTED = "not ended"
 UNDER_TEST = frozenset({"law", "library", "python", "sources", "data", "settings", "timeout_s", "guard"})
-"""Keys of a computer that are of the flight code, which is judged."""
+"""The keys of a computer that belong to the flight code, which is under test."""
 _WORDS = frozenset({"schema", "name", "description", "source", "file"})
-_REFERENCES = frozenset({"group", "tank"})  # to the name of a part
-_LISTED = 5  # verdicts in the line on the first page; more are counted
+_REFERENCES = frozenset({"group", "tank"})  # keys that refer to the name of a part
+_LISTED = 5  # most verdicts listed on the first page; a larger number is summarised
 
 Line = dict[str, Any]
 
 
 def ledger_path() -> Path:
-    """Return the ledger: in `$MAXQ_LEDGER`, else in `maxq/attempts` in the user's data folder."""
+    """Return the path of the ledger: in `$MAXQ_LEDGER`, or else in `maxq/attempts` in the user's data folder."""
     data = os.environ.get("XDG_DATA_HOME") or os.path.join(os.path.expanduser("~"), ".local", "share")
     return Path(os.environ.get("MAXQ_LEDGER") or os.path.join(data, "maxq", "attempts")) / "attempts.jsonl"
 
 
 def vehicle_hash(vehicle: Vehicle) -> str:
-    """Return the SHA-256 of a vehicle's numbers, without the flight code that it flies.
+    """Return the SHA-256 of a vehicle's numbers, without its flight code.
 
-    Names, descriptions, sources and files do not count. A reference to a name counts by the order of first occurrence.
+    Names, descriptions, sources and file names are excluded. A reference to a name is replaced by the order of its
+    first occurrence.
     """
     names = list[str]()
 
@@ -72,9 +73,9 @@ def _hash(line: Mapping[str, Any]) -> str:
 
 
 def read_lines(path: Path) -> tuple[list[Line], tuple[str, ...]]:
-    """Return the lines of a ledger, and a sentence for each place where its chain of hashes is broken.
+    """Return the lines of a ledger, and a sentence for each break in its chain of hashes.
 
-    A missing file has no lines. Raises OSError where it cannot be read.
+    A missing file has no lines. Raises OSError if the file cannot be read.
     """
     lines, damage, previous = list[Line](), list[str](), ""
     text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
@@ -97,7 +98,7 @@ def read_lines(path: Path) -> tuple[list[Line], tuple[str, ...]]:
 
 @contextlib.contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Keep other processes from the ledger, where the system has locks."""
+    """Lock the ledger against other processes, on systems with file locks."""
     if sys.platform == "win32":
         yield
         return
@@ -111,9 +112,10 @@ def _locked(path: Path) -> Iterator[None]:
 
 
 def lines_of(lines: Sequence[Line], vehicle: str, content: str) -> list[Line]:
-    """Return the lines of attempts and registrations for a vehicle in a ledger, oldest first.
+    """Return the lines of attempts and registrations for a vehicle, oldest first.
 
-    These have its name, its `content` (`vehicle_hash`), or any name or content that occurs together with one of them.
+    A line belongs to the vehicle if it has its name or its `content` (`vehicle_hash`), or a name or content that occurs
+    together with one of them in another line.
     """
     every = [line for line in lines if line.get("state") in (BEGUN, REGISTERED)]
     names, contents = {vehicle}, {content}
@@ -127,9 +129,9 @@ def lines_of(lines: Sequence[Line], vehicle: str, content: str) -> list[Line]:
 
 
 def append(path: Path, content: Mapping[str, Any]) -> Line:
-    """Append a line to a ledger, with date and chain, and return it. The file is replaced as a whole.
+    """Append a line to a ledger, with date and hash chain, and return it. The file is replaced as a whole.
 
-    Raises FileError where it cannot be written, OSError where it cannot be read or locked.
+    Raises FileError if the ledger cannot be written, and OSError if it cannot be read or locked.
     """
     with _locked(path):
         text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
@@ -144,13 +146,13 @@ def append(path: Path, content: Mapping[str, Any]) -> Line:
 
 @dataclass(frozen=True)
 class PastAttempt:
-    """An attempt in the ledger. `verdict`: "not ended" of one that was interrupted or is still running."""
+    """An attempt in the ledger. The `verdict` of an interrupted or running attempt is "not ended"."""
 
     date: str
-    vehicle: str  # its name
+    vehicle: str  # name of the vehicle
     design: str
     suite: str
-    part: str  # that was judged alone
+    part: str  # part that was verified alone, or ""
     verdict: str
     seeds: dict[str, int]
     hashes: dict[str, str]
@@ -161,8 +163,9 @@ class PastAttempt:
 class Attempt:
     """A verification in the ledger, and the other attempts for its vehicle.
 
-    `others`: of the same vehicle, each once, however often it was repeated. `versions`: attempts for other versions of
-    the vehicle (`lines_of`). `further`: names of further vehicles in the ledger. `damage`: of the chain.
+    `others` are attempts for the same vehicle, without repetitions. `versions` are attempts for other versions of the
+    vehicle (`lines_of`). `further` are the names of other vehicles in the ledger. `damage` describes breaks in its
+    chain.
     """
 
     number: int = 1
@@ -172,18 +175,18 @@ class Attempt:
     further: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
     vehicle: str = ""
-    since: str = ""  # date of the first line
+    since: str = ""  # date of the vehicle's first line
     line: Line = field(default_factory=dict, repr=False)
     path: Path = field(default=Path(), repr=False)
 
     @property
     def whole(self) -> list[PastAttempt]:
-        """The other attempts that judged by a whole suite."""
+        """Return the other attempts that used a whole suite."""
         return [one for one in self.others if not one.part]
 
     @property
     def title(self) -> str:
-        """Return one line for people: the number of the attempt, and the verdicts of the others."""
+        """Return one line of text: the number of the attempt, and the verdicts of the others."""
         whole, alone = self.whole, len(self.others) - len(self.whole)
         verdicts = [one.verdict.upper() for one in whole]
         said = ", ".join(verdicts)
@@ -214,12 +217,12 @@ class Attempt:
         return str(self.line["date"])[:10]
 
     def end(self, verdict: str, met: str = "") -> None:
-        """Write the end of the attempt. Raises FileError."""
+        """Write the end of the attempt to the ledger. Raises FileError."""
         append(self.path, {"state": ENDED, "attempt": self.line["hash"], "verdict": verdict, "met": met})
 
 
 def attempts_in(lines: Sequence[Line]) -> dict[str, list[PastAttempt]]:
-    """Return the attempts in a ledger by the hash of all that they depend on, each with its repetitions."""
+    """Return the attempts in a ledger, each with its repetitions, by the hash of all their inputs."""
     verdicts = {line.get("attempt"): str(line.get("verdict")) for line in lines if line.get("state") == ENDED}
     out: dict[str, list[PastAttempt]] = {}
     for line in lines:
@@ -233,10 +236,11 @@ def attempts_in(lines: Sequence[Line]) -> dict[str, list[PastAttempt]]:
 
 
 def begin(vehicle: str, content: Mapping[str, Any]) -> Attempt:
-    """Write the begin of an attempt, and return it with the others for the vehicle.
+    """Write the beginning of an attempt to the ledger, and return it with the other attempts for the vehicle.
 
-    `vehicle`: its name. `content`: `design`, `suite`, `part`, `seeds`, `command`, and `hashes`, which has `vehicle` and
-    `all`. Raises FileError or OSError where the ledger cannot be written: no verdict without its line.
+    `vehicle` is the name of the vehicle. `content` contains `design`, `suite`, `part`, `seeds`, `command`, and `hashes`
+    with `vehicle` and `all`. Raises FileError or OSError if the ledger cannot be written, since every verdict requires
+    its line.
     """
     path = ledger_path()
     line = append(path, {"state": BEGUN, "vehicle": vehicle, **content})
@@ -244,7 +248,7 @@ def begin(vehicle: str, content: Mapping[str, Any]) -> Attempt:
 
 
 def attempt_of(line: Line, lines: Sequence[Line], damage: tuple[str, ...], path: Path = Path()) -> Attempt:
-    """Return the attempt that begins with a line of a ledger, with the others that had begun before it."""
+    """Return the attempt that begins with a line of a ledger, with the other attempts that began before it."""
     lines = lines[: [each["hash"] for each in lines].index(line["hash"]) + 1]
     family = lines_of(lines, line["vehicle"], line["hashes"]["vehicle"])
     names, ends = {each.get("vehicle", "") for each in family}, [each for each in lines if each.get("state") == ENDED]

@@ -2,14 +2,14 @@
 
 Margins are measured for the nominal vehicle, at the corners of the dispersions, and for random vehicles. A dispersed
 vehicle has the same deviations at every operating point. The corners are a two-level screening design (Plackett &
-Burman, Biometrika 33, 1946) of twelve runs and their mirror images. Every pair of factors in it is uncorrelated. Random
-vehicle N is run N of the campaign (design/model/deviations.py), along one of a few dispersed trajectories
-(`conditions_of`). The compiled margins of design/margins/dispersed.py measure these vehicles. Vehicles whose margin is
-within `NEAR` of a limit, and those that the compiled margins do not support, are measured once more by `margins`.
+Burman, Biometrika 33, 1946) of twelve runs and their mirror images, in which every pair of factors is uncorrelated.
+Random vehicle N is run N of the campaign (design/model/deviations.py), along one of a few dispersed trajectories
+(`conditions_of`). The compiled margins of design/margins/dispersed.py measure these vehicles. Vehicles with a margin
+within `NEAR` of a limit, and those that the compiled margins do not support, are measured again by `margins`.
 
-Authority: in trim, the moment of the deflected engine balances that of the angle of attack, delta = -(M_alpha /
-M_delta) alpha. A cross-wind W meets the vehicle at alpha = atan(W / U) before it has had time to drift along. The
-gimbal's limit is therefore reached at a wind of U tan(delta_max |M_delta / M_alpha|). With |M_alpha / M_delta| above
+Authority: in trim, the moment of the deflected engine balances that of the angle of attack,
+delta = -(M_alpha / M_delta) alpha. A cross-wind W causes an angle of attack alpha = atan(W / U) before the vehicle has
+drifted. The gimbal reaches its limit at a wind of U tan(delta_max |M_delta / M_alpha|). If |M_alpha / M_delta| exceeds
 three, this happens before any stability margin is lost.
 """
 
@@ -52,9 +52,9 @@ from maxq.sim.scenario.schema_design import Design
 INSTANTS_S = (0.5, 0.05, 0.005)
 """The steps of the search for the worst instant between operating points, coarse to fine."""
 NEAR = 0.01
-"""The distance from its limit within which a margin is measured once more, dB, deg or ms."""
+"""The distance from its limit within which a margin is measured again, dB, deg or ms."""
 WORSE = {"dB": 0.02, "deg": 0.1, "ms": 0.05, "Hz": 0.002, "": 0.005}
-"""The amount by which an instant must be worse to become an operating point, by unit."""
+"""The amount by which an instant must be worse than all operating points to become one, by unit."""
 AUTHORITY_NAME = "gimbal trims a steady cross-wind"
 RANDOM_NAME = "random vehicles meet the dispersed limits"
 _GENERATOR = (1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1)  # first row of the Plackett-Burman design of twelve runs
@@ -84,18 +84,16 @@ _WITH = {
     "mass_kg": "inertia",
     "roll_inertia": "inertia",
 }
-"""The factor with which a deviation without its own factor changes. Any other deviation stays in the middle."""
+"""The factor that also determines a deviation without its own factor. All other deviations remain in the middle."""
 
 
 Measured = dict[str, float]
-"""The quantities of a loop by key (`MEASURED`). They are empty if the loop is unstable, and infinite if nothing
-limits them.
-"""
+"""The quantities of a loop by key (`MEASURED`), empty for an unstable loop. A margin without a bound is infinite."""
 
 
 @dataclass(frozen=True)
 class MarginCase:
-    """A vehicle, by its label, at all operating points, (nodes,)."""
+    """The quantities of a vehicle, with its label, at all operating points, (nodes,)."""
 
     label: str
     nodes: tuple[Measured, ...]
@@ -105,9 +103,9 @@ class MarginCase:
 class MarginStudy:
     """The margins of a design in one plane of one stage: nominal vehicle, corners, and random vehicles.
 
-    `stage` is its name, "" for a single stage. `random` (vehicles, nodes, SWEPT) is NaN throughout for an unstable
-    loop, and infinite if nothing limits a margin. The first row is vehicle number `first`. `exact` is the number of
-    these loops that `margins` itself has measured. `motion` (nodes,) is that of a scheduled filter, in %.
+    `stage` is the name of the stage, or "" for a single stage. `random` (vehicles, nodes, SWEPT) is NaN for an unstable
+    loop, and infinite for a margin without a bound. Its first row is vehicle number `first`. `exact` is the number of
+    loops that `margins` itself measured. `motion` (nodes,) is that of a scheduled filter, in %.
     """
 
     stage: str
@@ -128,7 +126,7 @@ class MarginStudy:
 
 
 def measured(loop: Loop, slosh_peak_db: float) -> Measured:
-    """Return the quantities of a loop. The result is empty if the loop is unstable."""
+    """Return the quantities of a loop. The result is empty for an unstable loop."""
     found = measure_loop(loop)
     return found.quantities(Convention(slosh_peak_db=slosh_peak_db)) if found.margins.stable else {}
 
@@ -136,19 +134,18 @@ def measured(loop: Loop, slosh_peak_db: float) -> Measured:
 def worst_instants(
     nodes_at: Callable[[Sequence[float]], Sequence[Node]], design: Design, times_s: Sequence[float], limits: LoopLimits
 ) -> list[float]:
-    """Return instants (s) between the first and the last operating point of a stage at which a required margin is
-    worst.
+    """Return the instants (s) between operating points of a stage at which a required margin is worst.
 
-    There is one instant for each margin that is worse there than at every operating point, by more than WORSE in its
-    own unit. The time axis is searched every INSTANTS_S[0], then with decreasing spacing about the worst instants. Two
-    dips within the first step count as one.
+    An instant is included if a margin there is worse than at every operating point by more than WORSE in its unit. The
+    time axis is searched in steps of INSTANTS_S[0], then with smaller steps about the worst instants. Two minima within
+    the first step count as one.
     """
     if len(times_s) < 2:
         return []
     known: dict[float, Measured] = {}
 
     def worse(name: str, t: float) -> float:
-        """Return the margin with the sign that makes a larger value worse, infinite if the loop is unstable."""
+        """Return the margin with a sign such that larger is worse, or infinity for an unstable loop."""
         value = known[t].get(name, math.nan)
         if not known[t]:
             return math.inf
@@ -174,15 +171,15 @@ def worst_instants(
 
 
 Met = tuple[FlightCondition, Trim]
-"""The air and path of a flight at an operating point, and its angles of attack and sideslip."""
+"""The air and path of a flight at an operating point, with the angles of attack and sideslip."""
 
 
 def conditions_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int, workers: int = 2) -> list[list[Met]]:
-    """Return the speed, air and attitude of dispersed flights at the operating points.
+    """Return speed, air and attitude of dispersed flights at the operating points, (flights, nodes).
 
-    The flights, (flights, nodes), are those of the first `count` runs of a campaign that are under thrust at all
-    operating points. A point is reached with the propellant that it has in the flight as designed, so that an engine
-    that burns faster reaches it earlier. The vehicle does not deviate, since the random vehicles do. Raises
+    The flights are the first `count` runs of a campaign that are under thrust at all operating points. An operating
+    point is reached with the propellant that remains there in the flight as designed. An engine that burns faster thus
+    reaches it earlier. The vehicle of these flights does not deviate, since the random vehicles do. Raises
     ScenarioError if no run reaches all points.
     """
     flown = campaign.base.scenario.model_copy(update={"fault": ()})
@@ -216,12 +213,11 @@ def conditions_of(campaign: LoadedCampaign, nodes: Sequence[Node], count: int, w
 
 
 def vehicles(wanted: LinearMargins, node: Node, campaign: LoadedCampaign) -> tuple[list[Dispersion], list[Dispersion]]:
-    """Return the corners, at which all deviations of a factor change together, and random vehicles, runs of the
-    campaign.
+    """Return the corners, at which all deviations of a factor change together, and random vehicles.
 
-    The corners are those of independent scores, and are equally probable if some are correlated. `node` is an operating
-    point of their stage. If `wanted.only` names a vehicle, this alone is returned, whatever the number of random
-    vehicles.
+    The random vehicles are runs of the campaign. The corners assume independent scores, and remain equally probable if
+    some scores are correlated. `node` is an operating point of the stage. If `wanted.only` names a vehicle, only this
+    one is returned, whatever the number of random vehicles.
     """
     corners, deviations = [], deviations_of(campaign, node)
     if wanted.corner_sigmas > 0.0:
@@ -248,11 +244,10 @@ def study(
     stage: str = "",
     trajectories: Sequence[Sequence[Node]] = (),
 ) -> MarginStudy:
-    """Return the margins at all operating points of one plane and stage: of the nominal vehicle, at the corners, and of
-    random vehicles.
+    """Return the margins at all operating points of one plane and stage.
 
-    `trajectories` are the operating points in other flights. Vehicle n flies along number n, beginning again after the
-    last. For `campaign`, see `vehicles`.
+    They are those of the nominal vehicle, the corners and the random vehicles. `trajectories` are the operating points
+    in other flights. Vehicle n flies along trajectory n, modulo their number. `campaign` is that of `vehicles`.
     """
     corners, drawn = vehicles(wanted, nodes[0], campaign)
     dispersed_by = stacked([*corners, *drawn])
@@ -299,8 +294,8 @@ def study(
 class SweptVehicles:
     """The margins of dispersed vehicles at an operating point.
 
-    Vehicles whose value is within `NEAR` of one of the `limits`, and those that the compiled margins do not support,
-    are measured individually.
+    Vehicles with a value within `NEAR` of one of the `limits`, and those that the compiled margins do not support, are
+    measured individually.
     """
 
     node: Node
@@ -316,9 +311,9 @@ class SweptVehicles:
             return None
 
     def measure(self, flight: Node, every: Sequence[Dispersion], table: Array, rows: IntArray) -> int:
-        """Measure vehicles at `flight`, the operating point in some flight, into rows of a table.
+        """Measure vehicles in a flight, and enter the values into the given rows of a table.
 
-        Return the number of exact measurements.
+        `flight` is the operating point in that flight. Returns the number of individual measurements.
         """
         if not len(rows):
             return 0
@@ -327,7 +322,7 @@ class SweptVehicles:
             values, status = self._loops.measure(every, self.limits.slosh_peak_db, flight)
             values = np.array([1e3 * values["delay_s"] if key == "delay_ms" else values[key] for key in SWEPT]).T
             table[rows] = np.where((status == DONE)[:, None], values, math.nan)
-            limits = np.array([getattr(self.limits, name) for name in SWEPT], float)  # nan: none
+            limits = np.array([getattr(self.limits, name) for name in SWEPT], float)  # nan for no limit
             again = np.flatnonzero((status == HANDED_BACK) | (np.abs(values - limits) < NEAR).any(axis=1))
         law = law_at(self.design, self.node)
         for k in again.tolist():
@@ -339,10 +334,10 @@ class SweptVehicles:
 def margin_requirements(
     found: MarginStudy, wanted: LinearMargins, again: Callable[[str], str] = lambda label: ""
 ) -> list[JudgedRequirement]:
-    """Return requirements: nominal limits, dispersed limits at the corners, and the share of random vehicles that meet
-    them.
+    """Return the requirements on margins.
 
-    `again` is the command that measures the vehicle of a label alone.
+    These are nominal limits, dispersed limits at the corners, and the share of random vehicles that meet them. `again`
+    returns the command that measures the vehicle with a given label alone.
     """
     out = []
     if wanted.only in ("", AS_DESIGNED):
@@ -407,7 +402,7 @@ def _limits(
     found: MarginStudy,
     again: Callable[[str], str],
 ) -> list[JudgedRequirement]:
-    """Return the checks of stability, and of the limits on the stable loops."""
+    """Return the requirements of stability and of the limits on the stable loops."""
     stage = f", {found.stage}" if found.stage else ""
     places = [
         (", ".join(filter(None, (c.label, f"{t:g} s", found.plane))), n, again(c.label or AS_DESIGNED), t)
@@ -442,21 +437,20 @@ def _limits(
 
 
 def meet_limits(values: Array, limits: LoopLimits) -> NDArray[np.bool_]:
-    """Return True for the vehicles (vehicles, nodes, SWEPT) that are stable and meet every limit at every node."""
+    """Return True for the vehicles of (vehicles, nodes, SWEPT) that are stable and meet every limit at every node."""
     met = ~np.isnan(values).all(axis=-1)
     for column, name in enumerate(SWEPT):
         limit = getattr(limits, name)
-        if limit is not None:  # an absent quantity cannot miss it
+        if limit is not None:  # a quantity that does not exist cannot miss its limit
             met &= ~(MEASURED[name].violation(values[..., column], limit) > 0.0)
     return np.asarray(met.all(axis=-1))
 
 
 def percentiles(values: Array, name: str, confidence: float, shares: Sequence[float]) -> Array:
-    """Return the values that at most given `shares` of all vehicles exceed, with that confidence, at each operating
-    point: (shares, nodes).
+    """Return the values that at most the given `shares` of all vehicles exceed, (shares, nodes).
 
-    Values (vehicles, nodes, SWEPT) give order statistics (tolerance_bound), or NaN if there are too few vehicles. An
-    unstable loop counts as worst.
+    They hold with the given confidence. The values are order statistics (tolerance_bound) of (vehicles, nodes, SWEPT),
+    or NaN for too few vehicles. An unstable loop counts as worst.
     """
     column = values[..., SWEPT.index(name)]
     allowed = [allowed_failures(len(values), 1.0 - share, confidence) for share in shares]
@@ -466,8 +460,10 @@ def percentiles(values: Array, name: str, confidence: float, shares: Sequence[fl
 
 @dataclass(frozen=True)
 class Authority:
-    """The authority at a vehicle time: gimbal angle per angle of attack, and the steady cross-wind that requires all of
-    the gimbal angle.
+    """The gimbal authority at a vehicle time.
+
+    `ratio` is the gimbal angle per angle of attack in trim, and `wind_mps` the steady cross-wind that needs the full
+    gimbal angle.
     """
 
     time_s: float
@@ -475,13 +471,13 @@ class Authority:
     dynamic_pressure_Pa: float
     ratio: float  # |M_alpha / M_delta|
     gimbal_limit_deg: float
-    wind_mps: float  # infinite if the limit is never reached
+    wind_mps: float  # infinite if the limit is not reached at any wind
 
 
 def authority(nodes: Sequence[Node], command_limits_rad: Sequence[float]) -> list[Authority]:
     """Return the authority at the operating points.
 
-    The limit is the smaller one of the stage's computer and actuator.
+    The gimbal limit is the smaller of those of the stage's computer and actuator.
     """
     out = []
     for node in nodes:
@@ -496,7 +492,7 @@ def authority(nodes: Sequence[Node], command_limits_rad: Sequence[float]) -> lis
 
 
 def authority_requirement(found: Sequence[Authority], wind_mps: float, again: str = "") -> JudgedRequirement:
-    """Require that a steady cross-wind can be trimmed at every time."""
+    """Return the requirement that the gimbals trim a steady cross-wind at every time."""
     worst = min(found, key=lambda a: a.wind_mps)
     judgement = suite.ACCEPTED if worst.wind_mps >= wind_mps else suite.REJECTED
     return JudgedRequirement(

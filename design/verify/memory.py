@@ -1,11 +1,11 @@
-"""Results that are kept for later runs: parts stored under the hash of all data on which they depend.
+"""Results that are stored for later runs, each under the hash of all data on which it depends.
 
-    memory = Memory(folder)
+    memory = PartsOnDisk(folder)
     answer = memory.recall("node", (packed, node, loop), lambda: certify(...))
 
-A key is the content of the arguments, bit by bit, and the source code of maxq. A part with the same inputs is the same
-part for every design and scenario. For a design with one changed gain, only the adjacent operating points are computed
-again.
+The key consists of the content of the arguments, bit by bit, and the source code of maxq. A part with the same inputs
+is shared by all designs and scenarios. For a design with one changed gain, only the adjacent operating points are
+computed again.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ T = TypeVar("T")
 
 
 def default_folder() -> Path:
-    """Return a folder next to the compiled kernels. Raises PermissionError if another user may write to it."""
+    """Return a folder next to the compiled kernels. Raises PermissionError if another user has write access."""
     return own_cache("verified")
 
 
@@ -58,16 +58,14 @@ def content_hash(*things: Any) -> str:
 
 
 _OF_JSON = frozenset({type(None), bool, int, float, str})
-"""The types of single values that JSON has."""
+"""The types of single values in JSON."""
 
 
 def to_plain(thing: Any, records: bool = False) -> Any:
-    """Return a result in the form that JSON can represent.
+    """Return a result in a form that JSON can represent.
 
-    A type that JSON lacks becomes an object with one key, the name of the type.
-
-    Raises TypeError for a type that `from_plain` does not support. With `records`, for a hash, NumPy records and bytes
-    are permitted too.
+    A type that JSON lacks becomes an object with one key, the name of the type. With `records`, NumPy records and bytes
+    are permitted, for a hash. Raises TypeError for any other type that `from_plain` does not support.
     """
     if type(thing) in _OF_JSON:
         return thing
@@ -79,7 +77,7 @@ def to_plain(thing: Any, records: bool = False) -> Any:
         return {"bytes": base64.b64encode(thing).decode()}
     if isinstance(thing, bool | int | float | str):
         return thing
-    if isinstance(thing, list):  # a table has thousands of numbers
+    if isinstance(thing, list):  # fast path for tables with thousands of numbers
         return list(thing) if _OF_JSON.issuperset(map(type, thing)) else [plain(item) for item in thing]
     if isinstance(thing, Mapping):
         return {"mapping": [[plain(key), plain(value)] for key, value in thing.items()]}
@@ -135,14 +133,14 @@ def from_plain(plain: Any) -> Any:
 
 
 def _fields(kind: Any) -> list[str]:
-    """Return the fields of a dataclass or of a file's section. Raises TypeError for other types."""
+    """Return the field names of a dataclass or of a section. Raises TypeError for other types."""
     return list(kind.model_fields) if issubclass(kind, Section) else [f.name for f in dataclasses.fields(kind)]
 
 
 def counted(work: Callable[..., T], watch: Callable[[int, int], None], of: int, each: int = 1) -> Callable[..., T]:
-    """Return `work` for threads, with a call of `watch` after every job that reports the completed share.
+    """Return `work` for use in threads, with a call of `watch` after every job.
 
-    A job counts as `each`.
+    `watch` receives the completed amount and the total `of`. A job counts as `each`.
     """
     done = itertools.count(each, each)
     watch(0, of)
@@ -156,7 +154,7 @@ def counted(work: Callable[..., T], watch: Callable[[int, int], None], of: int, 
 
 
 def text_of(result: Any) -> bytes:
-    """Return a result, bit by bit, as the text of `to_plain`."""
+    """Return a result as the text of `to_plain`, which preserves every bit."""
     return json.dumps(to_plain(result)).encode()
 
 
@@ -165,35 +163,38 @@ def _digest(text: bytes) -> str:
 
 
 class PartsOnDisk:
-    """The parts in a folder, one file each. A `folder` of None stores nothing. Threads may share one instance.
+    """The parts in a folder, one file each. A `folder` of None stores nothing. Threads may share an instance.
 
-    A file contains, one line each, the SHA-256 of the other lines, the hash of the inputs of the part, and the part as
-    JSON. A part whose file is damaged or belongs elsewhere is computed again. No file can name code to be executed.
+    The lines of a file are the SHA-256 of the other lines, the hash of the part's inputs, and the part as JSON. A part
+    whose file is damaged or belongs to other inputs is computed again. No file can name code to be executed.
     """
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
-        self._recalled: list[tuple[str, Callable[[], Any], str]] = []  # name, computation, hash of the result
+        self._recalled: list[tuple[str, Callable[[], Any], str]] = []  # name, function and hash of the result
         self.worked_out = 0
 
     @property
     def recalled(self) -> int:
-        """Return the number of parts from the folder."""
+        """Return the number of parts that were read from the folder."""
         return len(self._recalled)
 
     @property
     def recalled_names(self) -> tuple[str, ...]:
-        """Return the names of the parts from the folder, in their order."""
+        """Return the names of the parts that were read from the folder, in alphabetical order."""
         return tuple(sorted(name for name, _, _ in self._recalled))
 
     def recheck(self, most: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Compute a random sample of the recalled parts again. Return the names of these, and of those that differ."""
+        """Compute a random sample of the recalled parts again.
+
+        Returns the names of the parts in the sample, and of those that differ.
+        """
         sample = random.SystemRandom().sample(self._recalled, min(most, len(self._recalled)))
         wrong = [name for name, work_out, known in sample if _digest(text_of(work_out())) != known]
         return tuple(sorted(name for name, _, _ in sample)), tuple(sorted(wrong))
 
     def recall(self, kind: str, depends_on: Any, work_out: Callable[[], T], label: str = "") -> T:
-        """Return the part of that kind, from the folder or computed now and stored. `label` describes it."""
+        """Return a part, from the folder or computed by `work_out` and stored. `label` describes it in reports."""
         if self._folder is None:
             self.worked_out += 1
             return work_out()
@@ -207,10 +208,10 @@ class PartsOnDisk:
                 self._recalled.append((f"{kind} {label}".rstrip(), work_out, _digest(text)))
                 return found
         except (OSError, ValueError, TypeError, ImportError, LookupError, AttributeError, RecursionError):
-            pass  # not a part that `to_plain` wrote
+            pass  # the file is missing or not written by `to_plain`
         found = work_out()
         self.worked_out += 1
         rest = f"{key}\n".encode() + text_of(found)
-        with contextlib.suppress(FileError):  # an unwritable memory costs only time
+        with contextlib.suppress(FileError):  # without write access, only time is lost
             write_whole(path, _digest(rest).encode() + b"\n" + rest)
         return found

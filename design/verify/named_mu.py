@@ -1,17 +1,18 @@
-"""The largest simultaneous deviation of all named parameters for which the loop is stable: a lower bound.
+"""The largest simultaneous deviation of all named parameters for which the loop is stable, as a lower bound.
 
-The search for the worst vehicle (worst.py) finds individual vehicles. This module gives the deviation up to which no
+The search for the worst vehicle (worst.py) finds individual vehicles. This module computes the deviation up to which no
 vehicle is unstable, by the structured singular value over the deviations v, each a real number:
 
     L(f, v) = C(f) P(f, v),      [x' y] = ([A B, C D] + sum_k v_k dP_k) [x p],
 
-dP_k is half the difference of actuator, vehicle and gyro between both ends of a deviation, as large as that to the
-farther end. The delay is a factor 1 - j v sin(2 pi f t). P is the linear model of one plane. For pitch, yaw and roll
-together, it is the linearised simulator (design/loop/multiloop.py) of the scenario in which the deviation flies. The
-law and the effects of sampling are those at f without deviations. The result is thus exact to first order in each
-deviation. It does not include the interaction of two deviations, the nonlinear change between the ends, and the
-response between the frequencies that are tried. Correlated deviations change together. Aliases remain those without
-deviations, so that the bound does not apply to a mode beyond the Nyquist frequency.
+dP_k is half the difference of actuator, vehicle and gyro between both ends of a deviation, scaled to the size of the
+change to the farther end. The delay is a factor 1 - j v sin(2 pi f t). P is the linear model of one plane. For pitch,
+yaw and roll together, it is the linearised simulator (design/loop/multiloop.py) of the scenario with the deviation. The
+law and the effects of sampling are those at f without deviations.
+
+The result is thus exact to first order in each deviation. It does not include the interaction of two deviations,
+nonlinear changes between the ends, and the response between the evaluated frequencies. Correlated deviations change
+together. Aliases are those without deviations, so that the bound does not apply to a mode above the Nyquist frequency.
 """
 
 from __future__ import annotations
@@ -42,18 +43,18 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.vehicle.state import state_size
 
-_RANK, _RANK_TOGETHER = 1e-7, 1e-5  # relative: the least change that counts; differences of the simulator have noise
+_RANK, _RANK_TOGETHER = 1e-7, 1e-5  # smallest relative change that counts; differences of the simulator contain noise
 _GRID, _LOWEST_HZ = 60, 0.01
 _WIDTHS, _LIGHT, _SAME = np.array([-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0]), 0.5, 1e-6
-_HALVINGS = 6  # of the gaps on both sides of the largest
+_HALVINGS = 6  # of the intervals on both sides of the largest value
 
 
 @dataclass(frozen=True)
 class Uncertain:
-    """The deviating system, [A B, C D] (n + axes, n + axes) and its changes by 1 of each deviation, balanced, with
-    delays (s) by 1.
+    """The deviating system [A B, C D] (n + axes, n + axes), balanced, and its change by 1 of each deviation.
 
-    `farther` (deviations,) is the ratio of a change to the farther end to that change, at least 1.
+    `late_s` are the changes of delay (s) by 1. `farther` (deviations,) is the ratio, at least 1, of the change to the
+    farther end to that change.
     """
 
     whole: Array
@@ -65,7 +66,7 @@ class Uncertain:
 
     @property
     def blocks(self) -> tuple[Array, Array, Array, Array]:
-        """Return A, B, C, D."""
+        """Return the blocks A, B, C and D."""
         n = len(self.whole) - self.axes
         return self.whole[:n, :n], self.whole[:n, n:], self.whole[n:, :n], self.whole[n:, n:]
 
@@ -76,7 +77,7 @@ class Uncertain:
 
     @cached_property
     def _factors(self) -> list[tuple[Array, Array]]:
-        """Return the factors of each change: inputs to the equations by outputs of states and commands."""
+        """Return the low-rank factors of each change: rows of the equations, and columns of states and commands."""
         out = []
         for change in self.changes:
             u, size, v = np.linalg.svd(change)
@@ -85,7 +86,10 @@ class Uncertain:
         return out
 
     def matrix(self, hz: float, back: ComplexArray) -> tuple[ComplexArray, list[int]]:
-        """Return M from the outputs of the deviations to their inputs, where p = -back y, and their ranks."""
+        """Return M from the outputs of the deviations to their inputs, and the rank of each deviation.
+
+        The loop is closed by p = -back y.
+        """
         m, s = self.axes, 2j * np.pi * hz
         n, back = len(self.whole) - m, np.reshape(back, (m, m))
         left, right, ranks, direct = [], [], [], list[complex]()
@@ -93,14 +97,14 @@ class Uncertain:
             left.append(u)
             right.append(v)
             direct += [0.0] * u.shape[1]
-            if late_s:  # acts on the commands: p = -back y + w, with the input 1 - j sin of the command
+            if late_s:  # a delay acts on the commands: p = -back y + w
                 left.append(np.zeros((n + m, m)))
                 right.append(np.zeros((n + m, m)))
                 direct += [-1j * math.sin(2.0 * np.pi * hz * late_s)] * m
             ranks.append(u.shape[1] + (m if late_s else 0))
         into, out = np.concatenate(left, axis=1), np.concatenate(right, axis=1).astype(np.complex128)
         late = np.array(direct) != 0.0
-        # of x and p: s x = A x + B p + U_x w,  p = -back (C x + D p + U_y w) + w_late
+        # unknowns x and p: s x = A x + B p + U_x w,  p = -back (C x + D p + U_y w) + w_late
         a, b, c, d = self.blocks
         closed = np.block([[s * np.eye(n) - a, -b], [back @ c, np.eye(m) + back @ d]])
         driven = np.concatenate([into[:n], -back @ into[n:]])
@@ -113,8 +117,9 @@ class Uncertain:
 
 
 def uncertain(node: Node, campaign: LoadedCampaign) -> Uncertain:
-    """Return the plant of an operating point about the middle of its deviations, the score of each from -1 to 1 (three
-    sigma).
+    """Return the plant of an operating point about the middle of its deviations.
+
+    Scores of -1 and 1 correspond to 3 sigma.
     """
     deviations, node = deviations_of(campaign, node), with_drives_apart(node)
 
@@ -128,11 +133,10 @@ def uncertain(node: Node, campaign: LoadedCampaign) -> Uncertain:
 def uncertain_together(
     flown: Packed, base: LoadedScenario, design: Design, node: Node, campaign: LoadedCampaign
 ) -> Uncertain:
-    """Return the same for pitch, yaw and roll together.
+    """Return the plant of pitch, yaw and roll together about the middle of its deviations.
 
-    Each deviation is that of the scenario that flies it, at `flown`.
-
-    Raises ValueError if a deviated vehicle has other states: different engines of a group, each on a TVC load.
+    Each deviation is applied to the scenario and evaluated at `flown`. Raises ValueError if a deviated vehicle has
+    other states, as for different engines of a group on TVC loads.
     """
     deviations = deviations_of(campaign, node)
 
@@ -148,7 +152,7 @@ def uncertain_together(
 
 
 def flown_as(deviations: Deviations, base: LoadedScenario, flown: Packed, stage: int, u: Array) -> Packed:
-    """Return the packed flight `flown` of the vehicle of scores, at its own state and clock.
+    """Return the packed flight `flown` with the vehicle of scores `u`, at the same state and time.
 
     Raises ValueError if that vehicle has other states.
     """
@@ -178,8 +182,9 @@ def _balanced(whole: Callable[[Array], Array], deviations: Deviations, axes: int
 
 @dataclass(frozen=True)
 class Within:
-    """The bound `sigmas` of each deviation up to which no vehicle is unstable, by mu at `tried` frequencies, the
-    largest at `at_hz`.
+    """The bound `sigmas` of each deviation up to which no vehicle is unstable.
+
+    It follows from mu at `tried` frequencies, with the largest value at `at_hz`.
     """
 
     sigmas: float
@@ -188,7 +193,10 @@ class Within:
 
 
 def stable_within(node: Node, design: Design, campaign: LoadedCampaign) -> Within | None:
-    """Return the bound of the deviations at an operating point, or None for a law with inputs other than the gyro."""
+    """Return the bound of the deviations at an operating point, or None for a law with further inputs.
+
+    A law is supported if its only sensor is the first gyro.
+    """
     law = law_at(design, node)
     if any(name not in MEASUREMENTS for name in law.inputs):
         return None
@@ -198,10 +206,10 @@ def stable_within(node: Node, design: Design, campaign: LoadedCampaign) -> Withi
 
 
 def stable_together(base: LoadedScenario, design: Design, node: Node, campaign: LoadedCampaign) -> Within | None:
-    """Return the bound of the deviations at an operating point, with the loops of pitch, yaw and roll coupled as in the
-    simulator.
+    """Return the bound of the deviations at an operating point with coupled loops of pitch, yaw and roll.
 
-    Returns None for a law with inputs other than the gyro, and if engines of a group are on TVC loads.
+    The coupling is that of the simulator. Returns None for a law with inputs other than the first gyro, and if engines
+    of a group are on TVC loads.
     """
     law, run = law_at(design, node), flown_run(base, faults=False)
     if any(name not in MEASUREMENTS for name in law.inputs):
@@ -227,7 +235,7 @@ def _within(every: Uncertain, loop: Loop | Multiloop, closed_poles: ComplexArray
         m = m * np.repeat(every.farther, ranks)
         values[hz], scaling[hz] = real_mu_upper(m, ranks, None if near is None else scaling[near], enough)
 
-    with threadpool_limits(1, "blas"):  # small matrices: threads would block each other
+    with threadpool_limits(1, "blas"):  # threads are slower for small matrices
         for hz in _frequencies(closed_poles, loop.highest_hz):
             bound(hz, max(values.values(), default=0.0))
         for _ in range(_HALVINGS):
@@ -240,12 +248,15 @@ def _within(every: Uncertain, loop: Loop | Multiloop, closed_poles: ComplexArray
 
 
 def _frequencies(closed_poles: ComplexArray, highest_hz: float) -> list[float]:
-    """Return frequencies over the whole range, and about oscillatory closed poles, since a nearly unstable loop is so
-    in a narrow band.
+    """Return frequencies (Hz) over the whole range, and about oscillatory closed-loop poles.
+
+    A loop near instability is so only in a narrow band.
     """
     swings = closed_poles[(closed_poles.imag > 0.0) & (np.abs(closed_poles.real) < _LIGHT * closed_poles.imag)]
     hz = [np.geomspace(_LOWEST_HZ, 0.999 * highest_hz, _GRID)]
     hz += [(p.imag + p.real * _WIDTHS) / (2.0 * np.pi) for p in swings]
     grid = np.unique(np.concatenate(hz))
-    grid = grid[np.append(True, np.diff(grid) > _SAME * grid[1:])]  # the planes have similar poles
+    grid = grid[
+        np.append(True, np.diff(grid) > _SAME * grid[1:])
+    ]  # removes duplicates from similar poles of the planes
     return [float(f) for f in grid[(grid >= _LOWEST_HZ) & (grid < highest_hz)]]

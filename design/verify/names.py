@@ -1,4 +1,4 @@
-"""Names of stages and tanks in texts."""
+"""Names of stages, tanks and operating points in texts."""
 
 from __future__ import annotations
 

@@ -1,20 +1,21 @@
-"""The design of a case along the flight of the design itself. Design and flight are repeated until both agree.
+"""The design of a case along the flight of the design itself. Design and flight are repeated until they agree.
 
-Operating points need a flight, and a flight needs a design. The first flight is that of the scenario with its own
-design. Design and flight agree if all limits met at the operating points are also met at the same times of the design's
-own flight (`quantities.violation`: within 5e-4 dB or deg). Stages that disagree are designed again along the flight of
-the last design, from its values. If limits must hold between the operating points, they are judged there at the
-instants of `simdesign analyse`. An instant that misses a limit becomes an operating point of the next round.
+Operating points require a flight, and a flight requires a design. The first flight is that of the scenario with its own
+design. Design and flight agree if all limits that the design meets in the search are also met at the same times of its
+own flight. The tolerance is 5e-4 dB or deg (`quantities.violation`). Stages that disagree are designed again along the
+flight of the last design, starting from its values. If limits must hold between the operating points, they are assessed
+there at the instants of `simdesign analyse`. An instant that misses a limit becomes an operating point of the next
+round.
 
-The search applies the limits to the loop of one plane. The command `simdesign analyse` judges each axis with the loops
-of the others closed by the same limits, which reduces the margins slightly. If a stage misses limits for this reason,
-the limits of the next round's search are raised by the missing amount. The design states the limits of the case. If no
-design meets the raised limits, the last one remains. The roll loop is judged too, but the search does not affect it.
-Nor does the search affect slow roots of a vehicle whose roll rate no linear loop controls. Stability with all axes is
-therefore left to `simdesign analyse`.
+The search applies the limits to the loop of one plane. The command `simdesign analyse` applies the same limits to each
+axis with the other loops closed, which reduces the margins slightly. If a stage misses limits for this reason, the
+limits of the next round's search are raised by the missing amount. The design file states the limits of the case. If no
+design meets the raised limits, the last design is kept. The roll loop is assessed too, but the search does not affect
+it. The search also does not affect slow roots of a vehicle whose roll rate no linear loop controls. Stability with all
+axes is therefore left to `simdesign analyse`.
 
-A flight that is lost gives operating points up to the loss only. The design for these is a preliminary one, by a short
-search. Its own flight is controlled for longer, and gives the points of the next round.
+A flight that is lost provides operating points up to the loss only. A short search then makes a preliminary design for
+these. Its own flight remains controlled for longer, and provides the points of the next round.
 """
 
 from __future__ import annotations
@@ -51,23 +52,23 @@ from maxq.sim.scenario.schema_design import Design
 
 ROUNDS = 8
 COUPLED = ("gain_margin_db", "phase_margin_deg")
-BEYOND = 2.0 * TOLERANCE  # dB or deg, beyond the shortfall with the other axes closed
-LEAST_GAIN_S = 0.05  # by which a preliminary design must extend its flight over the one before
+BEYOND = 2.0 * TOLERANCE  # added to the shortfall with the other axes closed, dB or deg
+LEAST_GAIN_S = 0.05  # least extension of the flight by a preliminary design
 
 
 @dataclass(frozen=True)
 class Round:
-    """The description of a round: the flight along which the design was made, and the outcome of its own flight."""
+    """The summary of a round: the flight along which the design was made, and the outcome of its own flight."""
 
     number: int
     points: int
     first_s: float
     last_s: float
-    loss: Event | None  # of the flight along which the design was made
+    loss: Event | None  # loss of the flight along which the design was made
     own_loss: Event | None
-    missed: tuple[str, ...]  # along its own flight; limits that the search has met
+    missed: tuple[str, ...]  # limits that the search met and the own flight misses
     interrupted: bool
-    tightened: tuple[str, ...] = ()  # limits of the search beyond those of the case, in words
+    tightened: tuple[str, ...] = ()  # limits that the search raised above those of the case, as text
 
     @property
     def text(self) -> str:
@@ -91,9 +92,9 @@ class Round:
 
 @dataclass(frozen=True)
 class CaseDesign:
-    """The design of a case, and the judgement of each stage along the design's own flight.
+    """The design of a case, and the assessment of each stage along the design's own flight.
 
-    `loss` is that of this flight, or None if it is controlled throughout. `stages` and `plants` are those of all stages
+    `loss` is the loss of this flight, or None if it remains controlled. `stages` and `plants` are those of all stages
     with operating points, including those not designed because of an interruption. `uncovered` contains the intervals
     of this flight without operating points.
     """
@@ -109,17 +110,13 @@ class CaseDesign:
 
     @property
     def feasible(self) -> bool:
-        """Return True if all limits are met, the flight of the design is controlled, and no interruption left a part
-        out.
-        """
+        """Return True if all limits are met, the flight remains controlled, and no interruption left a part undone."""
         met = all(outcome.feasible and solution.feasible for outcome, solution in self.results)
         return met and self.loss is None and not self.interrupted
 
     @property
     def claim(self) -> str:
-        """Return in words the operating points at which the limits are met, and the parts that were not checked or not
-        designed.
-        """
+        """Return a statement of where limits are met, and of the parts that were not checked or not designed."""
         count = sum(len(solution.nodes) for _, solution in self.results)
         met = all(outcome.feasible for outcome, _ in self.results)
         said = [f"it meets all limits at its {count} operating points" if met else "it misses limits"]
@@ -135,9 +132,7 @@ class CaseDesign:
 
     @property
     def not_designed(self) -> tuple[int, ...]:
-        """Return the numbers, from 0, of the stages that were to be designed and fly as in the scenario's own
-        design.
-        """
+        """Return the stages, from 0, that should have been designed and fly with the scenario's own design."""
         done = {solution.nodes[0].stage for _, solution in self.results}
         return tuple(n for p in self.plants if (n := p.each[0].node.stage) not in done)
 
@@ -152,20 +147,19 @@ def design_case(
     """Design all stages of a case along the flight of the design itself.
 
     `progress` is called with a stage, from 0, and a round. `check` may raise KeyboardInterrupt before the first search.
-    `rounds_most` is the largest number of rounds after the first flight that is not lost.
-    Raises ValueError if there is no operating point, or if the problem has no solution, and KeyboardInterrupt if
-    nothing is found yet.
+    `rounds_most` is the largest number of rounds after the first flight that is not lost. Raises ValueError if there is
+    no operating point or no solution. Raises KeyboardInterrupt if no design has been found yet.
     """
     flight, (_, loss) = loaded.scenario, powered_flight(loaded.scenario)
-    also_s: dict[int, set[float]] = {}  # instants of each stage that missed a limit
+    also_s: dict[int, set[float]] = {}  # further instants of each stage, at which a limit was missed
     stages, plants = _problems(loaded, flight, loss, also_s)
     check()
     found: dict[int, Solution] = {}
     again: set[int] | None = None  # stages in which the last design misses limits, from round 2 on
-    more: dict[int, dict[str, float]] = {}  # dB or deg beyond the limits of the case, of each stage
+    more: dict[int, dict[str, float]] = {}  # increases of the limits of each stage, dB or deg
     in_vain: set[int] = set()  # stages without a design that meets limits raised by `more`
     rounds: list[Round] = []
-    watch: SearchProgress = lambda *_: None  # noqa: E731  # replaced by that of a search
+    watch: SearchProgress = lambda *_: None  # noqa: E731  # replaced by the progress of a search
     while True:
         number = len(rounds) + 1
         interrupted = False
@@ -228,7 +222,8 @@ def _problems(
 ) -> tuple[list[LoadedCase], list[Plants]]:
     """Return the case of each stage along the controlled part of a flight, and its plants.
 
-    `also_s` contains the times (s) of further operating points, by stage, between the first and the last of the case.
+    `also_s` contains the times (s) of additional operating points, by stage. They are between the first and the last
+    point of the case.
     """
     try:
         stages = each_stage(replace(loaded, flight=flight), math.inf if loss is None else loss.time_s)
@@ -244,7 +239,10 @@ def _problems(
 
 
 def _searched(stage: LoadedCase, loss: Event | None, again: set[int] | None) -> LoadedCase:
-    """Return the case for the search: a short search for a preliminary design, or one from the last design alone."""
+    """Return the case of a search.
+
+    The search is short for a preliminary design. From round 2 on, it begins at the last design alone.
+    """
     if loss is None and again is None:
         return stage
     few = {"starts": min(4, stage.case.search.starts) if loss is not None else 1, "leaps": 0}
@@ -255,7 +253,7 @@ def _searched(stage: LoadedCase, loss: Event | None, again: set[int] | None) -> 
 
 
 def _can_do_better(outcome: DesignOutcome) -> bool:
-    """Return True if a limit is missed that the search can affect: any but those of the roll loop."""
+    """Return True if a limit is missed that the search can affect, which excludes those of the roll loop."""
     alone = (*outcome.found, *outcome.dispersed_found)
     return bool(_short(outcome)) or any(not check.passed for check in alone)
 
@@ -283,7 +281,7 @@ def _with_limits(solution: Solution, stage: LoadedCase) -> Solution:
 
 
 def _texts(more: Mapping[int, Mapping[str, float]], in_vain: Collection[int]) -> tuple[str, ...]:
-    """Return in words the largest increases of the limits of the searches over those of the case."""
+    """Return the largest increases of the searches' limits over those of the case, as text."""
     most = {key: max((by.get(key, 0.0) for by in more.values()), default=0.0) for key in COUPLED}
     named = ((QUANTITIES[key], by) for key, by in most.items() if by > 0.0)
     texts = [f"limit on {about.label} raised by {by:.4f} {about.unit}" for about, by in named]
@@ -301,9 +299,9 @@ class _Judged:
 def _judged(
     loaded: LoadedCase, stages: Sequence[LoadedCase], plants: Sequence[Plants], found: dict[int, Solution]
 ) -> _Judged:
-    """Fly the design of the solutions.
+    """Fly the design of the solutions, and assess it along that flight.
 
-    Judge it along that flight, or along the flight of the search if that flight is lost.
+    If that flight is lost, the design is assessed along the flight of the search.
     """
     design, by_stage = make_design(loaded, *found.values()), {}
     flight = with_design(loaded.scenario, design)
@@ -324,8 +322,9 @@ def _judged(
 
 
 def _worst_between(loaded: LoadedCase, solution: Solution, design: Design) -> list[Node]:
-    """Return the instants between the operating points at which limits are nearest to being missed, if limits must hold
-    there.
+    """Return the instants between the operating points at which limits have their least margins.
+
+    The list is empty if limits need not hold between the operating points.
     """
     case, points_s = loaded.case, tuple(node.time_s for node in solution.nodes)
     if case.between_nodes != "hold":
@@ -337,14 +336,14 @@ def _worst_between(loaded: LoadedCase, solution: Solution, design: Design) -> li
 
 
 def _uncovered(judged: _Judged, loaded: LoadedCase) -> tuple[Uncovered, ...]:
-    """Return the intervals of the design's flight at which its limits were not checked."""
+    """Return the intervals of the design's flight in which its limits were not checked."""
     points_s = {n: sorted({node.time_s for node in s.nodes}) for n, (_, s) in judged.by_stage.items()}
     alone = [n for n, (_, solution) in judged.by_stage.items() if solution.certificate.instants == 0]
     return uncovered(judged.flight, points_s, loaded.case.plane, alone)
 
 
 def along(loaded: LoadedCase, solution: Solution) -> Solution:
-    """Return a solution with the operating points of another flight of its case, and its objective there.
+    """Return a solution with the operating points of another flight of its case, and its objective at these points.
 
     The objective of a robust case remains that of the search.
     """
@@ -359,5 +358,5 @@ def along(loaded: LoadedCase, solution: Solution) -> Solution:
 
 
 def with_design(scenario: LoadedScenario, design: Design) -> LoadedScenario:
-    """Return the scenario flown with a design instead of its own."""
+    """Return the scenario with a design in place of its own."""
     return replace(scenario, scenario=scenario.scenario.model_copy(update={"design": design}))

@@ -1,4 +1,4 @@
-"""The parts of a verification at operating points: margins, authority, slosh, worst vehicle, certificate."""
+"""The parts of a verification at operating points: margins, authority, slosh, worst vehicle and certificate."""
 
 from __future__ import annotations
 
@@ -37,13 +37,14 @@ from maxq.sim.scenario.loader import LoadedScenario, told
 from maxq.sim.scenario.schema_design import Design
 
 Watch = Callable[[str, int, int], None]
-"""A function that is called with the present activity, the steps done, and the total."""
+"""A function that is called with the present activity, the number of completed steps, and the total."""
 
 
 @dataclass(frozen=True)
 class WorstPart:
-    """The inputs of the search for the worst vehicle in a plane and stage. `flights` are operating points (flights,
-    nodes) along dispersed trajectories.
+    """The inputs of the search for the worst vehicle in a plane and stage.
+
+    `flights` are operating points (flights, nodes) along dispersed trajectories.
     """
 
     nodes: list[Node]
@@ -59,11 +60,11 @@ class WorstPart:
 
 @dataclass(frozen=True)
 class Parts:
-    """The inputs of the linear parts and of the certificate, and their results.
+    """The inputs of the linear parts and of the certificate, with methods that return the results.
 
-    `along` is the flight of the operating points: that of the suite's scenario with its own design unless it is lost
-    (`flight_of`). All candidates are thus measured in the same conditions, and a changed gain does not affect other
-    operating points.
+    `along` is the flight of the operating points: that of the suite's scenario with its own design, unless this flight
+    is lost (`flight_of`). All candidates are thus measured under the same conditions, and a changed gain does not
+    affect other operating points.
     """
 
     suite: Suite
@@ -72,17 +73,17 @@ class Parts:
     memory: PartsOnDisk
     watch: Watch
     workers: int
-    campaign: LoadedCampaign | None = None  # whose runs are random vehicles and their trajectories
-    changes: Sequence[str] = ()  # of design and vehicle
-    known: dict[Plane, list[Node]] = field(default_factory=dict)  # nodes by plane
+    campaign: LoadedCampaign | None = None  # campaign of the random vehicles and their trajectories
+    changes: Sequence[str] = ()  # changes of design and vehicle
+    known: dict[Plane, list[Node]] = field(default_factory=dict)  # operating points by plane
 
     @property
     def design(self) -> Design | None:
-        """Return the judged design, or None for flight code without a linear model."""
+        """Return the design under test, or None for flight code without a linear model."""
         return self.scenario.design
 
     def times_s(self, part: LinearMargins | CertificateWanted) -> tuple[float, ...]:
-        """Return the times of a part's operating points: those of the suite, or some that suit the flight."""
+        """Return the times of a part's operating points, from the suite or suited to the flight."""
         if part.times_s is not None:
             return part.times_s
         edges = part.edges if isinstance(part, LinearMargins) else EDGES
@@ -107,7 +108,7 @@ class Parts:
         if design is not None and wanted.between_nodes == "hold":
 
             def between() -> tuple[float, ...]:
-                """Return the instants of every stage whose operating points are in one powered span."""
+                """Return the worst instants of every stage whose operating points are in one powered span."""
                 by_stage = self._by_span(times_s).values()
                 return tuple(t for mine in by_stage for t in linear.worst_instants(along, design, mine, wanted.nominal))
 
@@ -117,7 +118,7 @@ class Parts:
         return along(times_s)
 
     def margins(self) -> list[linear.MarginStudy]:
-        """Return the margins of every stage that has operating points, plane by plane."""
+        """Return the margins of every stage with operating points, plane by plane."""
         wanted, design = self.suite.margins, self.design
         if wanted is None or design is None:
             return []
@@ -145,7 +146,7 @@ class Parts:
         return self.described.text(self.nodes(wanted.planes[0]))
 
     def described_by_stage(self) -> list[tuple[LoadedCampaign, Node]]:
-        """Return the campaign that describes the dispersed vehicles of each stage, and one of its operating points."""
+        """Return the campaign of the dispersed vehicles of each stage, with one of its operating points."""
         wanted = self.suite.margins
         if wanted is None or self.design is None or not wanted.cases or wanted.only:
             return []
@@ -154,8 +155,9 @@ class Parts:
 
     @cached_property
     def trajectories(self) -> list[list[list[Node]]]:
-        """Return the operating points of each plane and stage in dispersed flights, (parts, flights, nodes), or an
-        empty result without any.
+        """Return the operating points of each plane and stage in dispersed flights, (parts, flights, nodes).
+
+        The list is empty without dispersed trajectories.
         """
         wanted = self.suite.margins
         assert wanted is not None
@@ -176,7 +178,7 @@ class Parts:
     def by_stage(
         self, what: str, wanted: LinearMargins
     ) -> Iterator[tuple[list[Node], str, Callable[[int, int], None]]]:
-        """Yield the operating points of each plane and stage, the stage's name, and the callback of its progress."""
+        """Yield the operating points of each plane and stage, the name of the stage, and its progress callback."""
         stage_of = attrgetter("stage")
         for plane in wanted.planes:
             for number, nodes in groupby(sorted(self.nodes(plane), key=stage_of), stage_of):
@@ -184,7 +186,7 @@ class Parts:
                 yield list(nodes), stage, partial(self.watch, ", ".join(filter(None, (what, plane, stage))))
 
     def worst(self) -> list[WorstVehicle]:
-        """Return the worst vehicle in every plane and stage that has operating points, if the suite requires it."""
+        """Return the worst vehicle of every plane and stage with operating points, if the suite requires it."""
         out = []
         for part in self.worst_parts():
             held = part.wanted.between_nodes == "hold"
@@ -196,7 +198,7 @@ class Parts:
                 description_of(part.described),
                 told(part.worst),
                 part.wanted.between_nodes,
-                [[(node.condition, node.trim) for node in flight] for flight in part.flights],  # the rest is `nodes`
+                [[(node.condition, node.trim) for node in flight] for flight in part.flights],  # all else is in `nodes`
             )
             search = partial(
                 search_plane,
@@ -224,7 +226,7 @@ class Parts:
         for (nodes, name, watch), flights in zip(parts, self.trajectories or itertools.repeat([]), strict=False):
             end_s = next(
                 span.end_s for span in spans if span.holds(nodes[0].time_s)
-            )  # flown until that stage's burnout
+            )  # flies until that stage's burnout
             run = base.run.model_copy(update={"duration_s": round(end_s - base.run.start_s, 9)})
             loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
             described = self.described.at(nodes[0])
@@ -250,7 +252,7 @@ class Parts:
         return {span.stage: [t for t in times if span.holds(t)] for span in powered_spans(self.along)}
 
     def uncovered(self) -> tuple[Uncovered, ...]:
-        """Return the intervals without operating points, or none if the suite requires nothing at such points."""
+        """Return the intervals without operating points, or an empty result if the suite requires none."""
         margins = self.suite.margins if self.design is not None else None
         margins = None if margins is not None and margins.only == CERTIFICATE else margins
         points_s = self.points_s(margins, self.suite.certificate)
@@ -262,7 +264,7 @@ class Parts:
         )
 
     def authority_times_s(self) -> list[float]:
-        """Return every second between the first and the last time that the suite names in each stage."""
+        """Return times at intervals of 1 s between the first and the last operating point of each stage."""
         named = self.points_s(self.suite.margins, self.suite.certificate) or self._by_span(node_times(self.along))
         times: list[float] = []
         for mine in filter(None, named.values()):
@@ -270,14 +272,14 @@ class Parts:
         return times
 
     def authority(self) -> list[linear.Authority]:
-        """Return the authority at its times."""
+        """Return the gimbal authority at `authority_times_s`."""
         computers = [self.scenario.vehicle.computer_of(n) for n in range(len(self.scenario.vehicle.stage))]
         self.watch("control authority", 0, 0)
         limits_rad = [math.inf if c is None else math.radians(c.command_limit_deg) for c in computers]
         return linear.authority(operating_points.nodes(self.along, self.authority_times_s()), limits_rad)
 
     def slosh(self) -> list[SloshAdvice]:
-        """Return the damping that every operating point needs. The worst case is flown."""
+        """Return the required slosh damping at every operating point. The worst case is confirmed in flight."""
         vehicle, wanted, design = self.scenario.vehicle, self.suite.margins, self.design
         tanks = any(stage.tank for stage in vehicle.stage)
         if wanted is None or design is None or not tanks or not self.scenario.scenario.switches.slosh:
@@ -316,18 +318,18 @@ class Parts:
         return found, through
 
     def in_flight_times_s(self, found: Sequence[NodeCertificate]) -> list[float]:
-        """Return the times at which the ascent of a design is measured: certified as stable, with lasting thrust."""
+        """Return the times of measurements in the ascent: certified as stable, with sufficient duration of thrust."""
         wanted = self.suite.certificate
         if wanted is None or not wanted.in_flight:
             return []
         stable = [c.time_s for c in found if c.stable and c.plane == wanted.planes[0]]
-        if wanted.times_s is None:  # times that the flight determines may be at the ends of thrust
+        if wanted.times_s is None:  # times chosen from the flight may be too close to the ends of thrust
             spans = powered_spans(self.scenario)
             stable = [t for t in stable if fits(t, spans)]
         return stable
 
     def measured(self) -> list[MeasuredNode]:
-        """Measure flight code without a linear model, at the operating points and in the planes of the certificate."""
+        """Return the measurements of flight code without a linear model, at the operating points of the certificate."""
         wanted = self.suite.certificate
         if wanted is None or self.design is not None:
             return []
@@ -342,7 +344,7 @@ class Parts:
             return list(pool.map(counted(one, partial(self.watch, "measuring in flight"), len(nodes)), nodes))
 
     def in_flight_of_code(self, measured: Sequence[MeasuredNode]) -> list[InFlightResponse]:
-        """Measure flight code in its ascent, where it is stable and thrust lasts long enough."""
+        """Return the measurements of flight code in its ascent, where it is stable and thrust lasts long enough."""
         scenario, through = self.scenario, list[InFlightResponse]()
         for plane, held in self.held_responses(measured).items():
             fly = partial(in_flight_response_of_code, scenario, held, plane)
@@ -350,7 +352,7 @@ class Parts:
         return through
 
     def held_responses(self, measured: Sequence[MeasuredNode]) -> dict[Plane, dict[float, ComplexArray]]:
-        """Return the responses in held flights, by plane and time, with which the ascent of flight code is compared."""
+        """Return the responses in held flights, by plane and time, for comparison with the ascent of flight code."""
         wanted, out = self.suite.certificate, dict[Plane, dict[float, ComplexArray]]()
         for plane in wanted.planes if wanted is not None and wanted.in_flight else ():
             mine = [n for n in measured if n.plane == plane and n.stable and len(n.in_flight)]

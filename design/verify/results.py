@@ -1,6 +1,6 @@
-"""The results of a verification without its campaigns: all data from which its verdict and its report follow.
+"""The results of a verification without its campaigns: all data from which its verdict and report follow.
 
-A pack contains them as a file. `simverify --check` derives every requirement from them again.
+A review pack contains them as a file. `simverify --check` derives every requirement from them again.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ from maxq.design.verify.uncovered import Uncovered
 from maxq.design.verify.worst import WorstVehicle
 
 MOST_BYTES = 2_000_000_000
-"""The largest size of the decompressed text that is read."""
+"""The largest accepted size of the decompressed text."""
 
 
 @dataclass(frozen=True)
 class Results:
-    """The results of flights, of linear measures and of measurements in flight. Parts that the suite does not require
-    are empty.
+    """The results of flights, linear measures and measurements in flight.
+
+    Parts that the suite does not require are empty.
     """
 
     flights: tuple[FlownResult, ...]
@@ -38,9 +39,9 @@ class Results:
     slosh: tuple[SloshAdvice, ...]
     worst: tuple[WorstVehicle, ...]
     certificates: tuple[NodeCertificate, ...]
-    measured: tuple[MeasuredNode, ...]  # of flight code without a linear model
+    measured: tuple[MeasuredNode, ...]  # measurements of flight code without a linear model
     in_flight: tuple[InFlightResponse, ...]
-    uncovered: tuple[Uncovered, ...]  # intervals of the flight of the operating points without any
+    uncovered: tuple[Uncovered, ...]  # intervals without operating points
 
     def to_bytes(self) -> bytes:
         """Return all values, bit by bit, as compressed JSON."""
@@ -48,7 +49,7 @@ class Results:
 
     @classmethod
     def from_bytes(cls, content: bytes) -> Self:
-        """Return the results that `to_bytes` wrote. Raises ValueError for other content."""
+        """Return the results from the output of `to_bytes`. Raises ValueError for other content."""
         hints, out = get_type_hints(cls), dict[str, Any]()
         try:
             decompress = zlib.decompressobj(wbits=31)

@@ -1,8 +1,8 @@
-"""The seeds of a verification: declared before it, registered in the ledger, or chosen by hand.
+"""The seeds of a verification: declared in advance, registered in the ledger, or chosen by hand.
 
-A seed is declared where it is that of a shipped baseline, of a shipped campaign, or the default. Seeds are declared
-and not derived from a hash of the inputs: a derived seed changes with an irrelevant digit of a design, which would then
-choose the draws.
+A seed is declared if it is that of a shipped baseline, of a shipped campaign, or the default. Declared seeds are not
+derived from a hash of the inputs. A derived seed would change with an irrelevant digit of a design, which could then
+select the draws.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from maxq.sim.input.files import builtin_files
 from maxq.sim.scenario.loader import LoadedScenario, told
 
 DEFAULT = 1
-"""The seed of every file that gives none."""
+"""The seed of every file without a seed."""
 
 DECLARED, BY_HAND, REPLACED = "declared", "chosen by hand", "replaced by the registered seed"
 
 
 @dataclass(frozen=True)
 class Seed:
-    """A seed: the part that it is of, its value, the declared value, and how it was chosen."""
+    """A seed: its part of the verification, its value, the declared value, and the way in which it was chosen."""
 
     of: str
     value: int
@@ -34,7 +34,7 @@ class Seed:
 
     @property
     def lack(self) -> str:
-        """Return the reason for which it counts for no acceptance, or ""."""
+        """Return the reason why the seed does not support an acceptance, or ""."""
         if self.how == BY_HAND:
             return f"seed {self.value} of {self.of} chosen by hand, not registered before"
         return f"seed {self.value} of {self.of} {self.how}" if self.how.startswith(REPLACED) else ""
@@ -47,10 +47,10 @@ def seeds_of(
     campaigns: Sequence[LoadedCampaign],
     candidate: int = 0,
 ) -> list[Seed]:
-    """Return the seeds of a suite, of its flights by name and of its campaigns as they are flown.
+    """Return the seeds of a suite, of its flights by name and of its campaigns as flown.
 
-    `baseline`: the suite with which it is compared.
-    `candidate`: number of a candidate of `simdesign --verify`, which is added to the declared seeds of its draws.
+    `baseline` is the suite with which it is compared. `candidate` is the number of a candidate of `simdesign --verify`,
+    which is added to the declared seeds of its draws.
     """
     suite, out = loaded.suite, list[Seed]()
     if suite.margins is not None:
@@ -59,7 +59,7 @@ def seeds_of(
         out += [_seed("margins.worst", worst.seed, DEFAULT)] if worst is not None else []
         if named is not None:
             out.append(_seed("margins.three_sigma.campaign", load_campaign(named).campaign.seed, _shipped(named)))
-    # the author of a baseline that is not shipped would choose the seeds
+    # excludes a baseline that is not shipped, whose author could choose the seeds
     before = baseline.asked if loaded.baseline in builtin_files("suite") else Suite.model_construct()
     for n, (wanted, flown) in enumerate(zip(suite.campaign, campaigns, strict=False)):
         out.append(_seed(f"campaign.{n}", flown.campaign.seed, _declared(before, n, wanted, flown), candidate))
@@ -76,7 +76,10 @@ def _seed(of: str, value: int, declared: int, candidate: int = 0) -> Seed:
 
 
 def _declared(baseline: Suite, number: int, wanted: CampaignWanted, flown: LoadedCampaign) -> int:
-    """Return the seed of the baseline's campaign in this place, if it flies the same vehicle; else the file's."""
+    """Return the declared seed of a campaign.
+
+    It is that of the baseline's campaign at this position if the vehicle is the same, or else that of the file.
+    """
     if number < len(baseline.campaign):
         same = baseline.campaign[number]
         before = load_campaign(same.file, same.set)
@@ -86,13 +89,13 @@ def _declared(baseline: Suite, number: int, wanted: CampaignWanted, flown: Loade
 
 
 def _shipped(file: str) -> int:
-    """Return the seed of a shipped campaign; the default of another file."""
+    """Return the seed of a shipped campaign, or the default for another file."""
     known = builtin_files("campaign")
     return load_campaign(file).campaign.seed if file in known or file in map(str, known.values()) else DEFAULT
 
 
 def _of_scenario(name: str, loaded: LoadedScenario) -> Iterator[Seed]:
-    """Yield the seeds of noise, which belong to no draw."""
+    """Yield the seeds of a scenario's noise, which are independent of draws."""
     for section in ("run", "wind"):
         for path, value in _found(told(getattr(loaded.scenario, section)), section):
             yield _seed(f"{name} {path}", value, DEFAULT)
@@ -108,17 +111,17 @@ def _found(content: Any, path: str) -> Iterator[tuple[str, int]]:
 
 
 def drawn(seeds: Iterable[Seed]) -> dict[str, int]:
-    """Return the seeds for the record of an attempt: those of draws, and every seed that is not declared."""
+    """Return the seeds for the record of an attempt: those of draws, and every seed that is not the declared one."""
     return {seed.of: seed.value for seed in seeds if " " not in seed.of or seed.how != DECLARED}
 
 
 def chosen(seeds: Sequence[Seed], lines: Sequence[Line], design: str) -> tuple[Seed, ...]:
-    """Return the seeds, with those marked that the ledger of a vehicle's name has as registered or assigned.
+    """Return the seeds, with those marked that the ledger lists as registered or assigned for the vehicle's name.
 
-    Each part of a vehicle has one seed: the first one that is registered, if no attempt has flown the part before, else
-    the declared one. A second seed would be a second chance. A changed number of the vehicle gives no other seed. A
-    seed that `simdesign` assigned to a design counts for it again.
-    `design`: hash. `lines`: those before this attempt.
+    Each part of a verification has one valid seed per vehicle. It is the first registered seed if no earlier attempt
+    flew the part, and the declared seed otherwise. A second seed would be a second chance, and a changed number of the
+    vehicle does not permit one. A seed that `simdesign` assigned to a design remains valid for it. `design` is the hash
+    of the design, and `lines` are those before this attempt.
     """
     return tuple(_chosen(seed, lines, design) for seed in seeds)
 
@@ -143,7 +146,7 @@ def _chosen(seed: Seed, lines: Sequence[Line], design: str) -> Seed:
 def _flown_seed(seed: Seed, line: Line) -> int | None:
     """Return the seed of a part in an attempt, or None if the attempt did not fly the part.
 
-    A seed of noise is recorded unless it is the declared one (`drawn`).
+    A seed of noise is recorded only if it is not the declared one (`drawn`).
     """
     declared = seed.declared if " " in seed.of and not line["part"] else None
     value = line["seeds"].get(seed.of, declared)
@@ -151,9 +154,9 @@ def _flown_seed(seed: Seed, line: Line) -> int | None:
 
 
 def registered(seeds: Sequence[Seed], lines: Sequence[Line], vehicle: str) -> dict[str, Any]:
-    """Return the line that registers the seeds chosen by hand. Raises ValueError where one of them would not count.
+    """Return the line that registers the seeds chosen by hand. `vehicle` is the hash of the vehicle.
 
-    `vehicle`: hash.
+    Raises ValueError if a registered seed would not be valid.
     """
     by_hand = {seed.of: seed.value for seed in seeds if seed.how == BY_HAND}
     line = {"state": REGISTERED, "date": "", "hashes": {"vehicle": vehicle}, "seeds": by_hand}
@@ -165,5 +168,5 @@ def registered(seeds: Sequence[Seed], lines: Sequence[Line], vehicle: str) -> di
 
 
 def missing(seeds: Iterable[Seed]) -> list[str]:
-    """Return what the seeds lack for an acceptance, a phrase each."""
+    """Return a phrase for each seed that does not support an acceptance."""
     return [text for seed in seeds if (text := seed.lack)]

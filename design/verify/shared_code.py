@@ -1,7 +1,7 @@
-"""The code that linear model, flight computer and simulator share, read from the imports of their modules.
+"""The code that linear model, flight computer and simulator share, determined from the imports of their modules.
 
-Agreement of two models shows nothing about the code that both execute. This module lists that code from the sources, so
-that the list cannot differ from the program.
+Agreement of two models gives no evidence about the code that both execute. This module derives the list of that code
+from the sources, so that it cannot differ from the program.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from maxq.sim.scenario.loader import LoadedScenario
 _TOP = Path(__file__).resolve().parents[2]
 _LINEAR = ("design/laws", "design/loop", "design/model")
 _APART = ("control.kernel", "sim.input", "sim.scenario", "sim.campaign")
-"""Packages that contain no model: arrays and tables, input files, draws."""
+"""The packages without models: arrays and tables, input files, draws."""
 _IMPORT = re.compile(r"^from maxq\.((?:control|sim)[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 
 
 class SharedCode(NamedTuple):
-    """A row: the part, who executes it, and its modules with the names that the linear model imports."""
+    """A row of the list: the part, the programs that execute it, and its modules with the names that are imported."""
 
     part: str
     by: str
@@ -31,13 +31,13 @@ class SharedCode(NamedTuple):
 
 @cache
 def imported_names() -> dict[str, frozenset[str]]:
-    """Return the names that the modules of the linear model import from flight computer and simulator, by module."""
+    """Return the names that the linear model imports from flight computer and simulator, by module."""
     return _taken(_sources(*_LINEAR))
 
 
 @cache
 def modules_apart() -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the modules of the linear model that import none of these, and those of the computer not imported."""
+    """Return the modules of the linear model without shared code, and those of the computer not imported."""
     taken = imported_names()
     linear = tuple(name for name, path in _sources(*_LINEAR).items() if not _taken({name: path}))
     computer = (name for name in _sources("control") if not name.startswith(_APART))
@@ -45,7 +45,7 @@ def modules_apart() -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def _sources(*folders: str) -> dict[str, Path]:
-    """Return the modules in folders, without the prefix maxq, with their files."""
+    """Return the modules in folders, without the prefix maxq, and their files."""
     paths = (path for folder in folders for path in sorted((_TOP / folder).rglob("*.py")))
     return {".".join(path.relative_to(_TOP).with_suffix("").parts): path for path in paths}
 
@@ -64,7 +64,7 @@ def _taken(sources: dict[str, Path]) -> dict[str, frozenset[str]]:
 
 
 def shared_code(scenario: LoadedScenario) -> list[SharedCode]:
-    """Return what flight code, linear model and simulator share, and what each has for itself, as rows of text."""
+    """Return the shared and the separate code of flight code, linear model and simulator, as rows of text."""
     vehicle, design = scenario.vehicle, scenario.design
     computers = [c for c in map(vehicle.computer_of, range(len(vehicle.stage))) if c is not None]
     files = {f for c in computers for f in (c.library, c.python) if f is not None}

@@ -1,25 +1,29 @@
-"""Slosh: the positions at which it destabilises the control loop, the damping that it needs, and its limit cycle.
+"""Slosh: the positions at which it destabilises the control loop, the required damping, and its limit cycle.
 
-A liquid takes energy from the control loop if its pendulum bob is between the vehicle's CG and its centre of
-percussion. This centre is I / (m l_c) forward of the CG, with l_c from the CG to the gimbal. Elsewhere it returns
-energy to the loop (Bauer, NASA TR R-187; SP-8031). The effect depends on the loop at hand. The tank's damping is
-lowered until the closed loop is marginally stable, and this is the required damping (`advise`).
+Slosh extracts energy from the control loop if the pendulum bob is between the vehicle's CG and its centre of
+percussion. This centre is I / (m l_c) forward of the CG, with the distance l_c from the CG to the gimbal. At other
+positions it returns energy to the loop (Bauer, NASA TR R-187; SP-8031). The magnitude of the effect depends on the
+loop. The required damping is found by lowering the damping of a tank until the closed loop is marginally stable
+(`advise`).
 
 The damping of a ring baffle increases with the wave height (Miles, J. Aero. Sci. 25, 1958; NASA SP-106, eq. 4.10),
 
     zeta = 2.83 exp(-4.6 d / R) a^(3/2) sqrt(eta / R)
 
-with d the depth of the ring below the surface, a the share of the surface that it covers, and eta the height of the
-wave at the wall. This is the law of the simulator's baffles (docs/model.md, section 5). In a loop that needs the
-damping zeta, slosh grows while the wave is lower than the height that gives this damping, and decays above it. The
-height is that of a limit cycle. The wave of the first mode (xi = 1.841) corresponds to a swing of the pendulum of
+with the depth d of the ring below the surface, the fraction a of the surface that it covers, and the wave height eta at
+the wall. The simulator's baffles have this law (docs/model.md, section 5). In a loop that requires the damping zeta,
+slosh grows while the wave is lower than the height with this damping, and decays above it. That height is the amplitude
+of a limit cycle. The wave of the first mode (xi = 1.841) corresponds to a pendulum swing of
 
     theta = (xi^2 - 1) / 2  eta / R
 
-at any depth (sim/vehicle/slosh/packing.py). The worst tank is flown (`confirm`). With just the required damping, a
-burst neither grows nor decays. With the baffle's law, the swing ends at the predicted amplitude (`fly_cycle`). No other
-effect limits slosh within the range of the model. Without baffles, gimbal and servo stay far from their limits until
-the liquid has swung through a right angle (tests/test_oracle_slosh_cycle.py). Real waves would have broken long before.
+at any depth (sim/vehicle/slosh/packing.py). The worst tank is confirmed in flight (`confirm`). With the required
+damping, a burst neither grows nor decays. With the baffle's law, the swing ends at the predicted amplitude
+(`fly_cycle`).
+
+No other effect limits slosh within the range of the model. Without baffles, gimbal and servo remain far from their
+limits until the liquid has swung through a right angle (tests/test_oracle_slosh_cycle.py). Real waves would break at a
+much smaller swing.
 """
 
 from __future__ import annotations
@@ -46,38 +50,38 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.vehicle.slosh.packing import WAVE_PER_SWING, ring_damping
 
-SWING_PER_WAVE = 1.0 / WAVE_PER_SWING[0]  # rad of the pendulum for a wave at the wall as high as the radius
+SWING_PER_WAVE = 1.0 / WAVE_PER_SWING[0]  # swing, rad, for a wave height at the wall of one radius
 WATCHED_S = 400.0  # several time constants of a limit cycle that settles within a minute
-SETTLED = 0.03  # relative difference allowed between the last two quarters' amplitudes
+SETTLED = 0.03  # allowed relative difference between the amplitudes of the last two quarters
 _HALVINGS = 12
 _BAND_RADPS = (0.5, 31.0)  # slosh and rigid body, up to 5 Hz
 
 
 @dataclass(frozen=True)
 class Baffle:
-    """A ring baffle `depth_r` radii below the surface that covers the share `cover` of it."""
+    """A ring baffle at a depth of `depth_r` radii below the surface, which covers the fraction `cover` of it."""
 
     depth_r: float
     cover: float
 
     def damping(self, swing_rad: float) -> float:
-        """Return the damping ratio of a pendulum at this swing."""
+        """Return the damping ratio of a pendulum with a given swing."""
         return ring_damping(self.depth_r, self.cover, abs(swing_rad) / SWING_PER_WAVE)
 
     def wave_m(self, damping: float, radius_m: float) -> float:
-        """Return the height of the wave at the wall that gives this damping ratio."""
+        """Return the wave height at the wall for which the baffle has a given damping ratio."""
         return radius_m * (damping / ring_damping(self.depth_r, self.cover, 1.0)) ** 2
 
     def swing_deg(self, damping: float) -> float:
-        """Return the swing of the pendulum that gives this damping ratio."""
+        """Return the pendulum swing for which the baffle has a given damping ratio."""
         return math.degrees(SWING_PER_WAVE * self.wave_m(damping, 1.0))
 
 
 @dataclass(frozen=True)
 class SloshCycle:
-    """The final amplitude of the swing of a tank's liquid in flight, deg, and that of the gimbal command.
+    """The final amplitudes (deg) of a tank's swing and of the gimbal command in flight.
 
-    `settled` is True if it no longer changes. The amplitudes are NaN if the flight ended early.
+    `settled` is True if the swing amplitude is constant. The amplitudes are NaN if the flight ended early.
     """
 
     swing_deg: float
@@ -86,9 +90,9 @@ class SloshCycle:
 
 
 def fly_cycle(held: HeldFlight, tank: int, baffle: Baffle, frequency_hz: float, level: float = 1.0) -> SloshCycle:
-    """Excite the held flight at the slosh frequency, with the baffle alone in the tank.
+    """Fly the held flight with an excitation at the slosh frequency, with only the baffle's damping in the tank.
 
-    `level` scales the burst of the certificate (`burst_rad`): the limit cycle is reached from above or from below.
+    `level` scales the burst of the certificate (`burst_rad`), so that the limit cycle is reached from above or below.
     """
 
     def baffled(packed: Packed) -> None:
@@ -107,23 +111,24 @@ def fly_cycle(held: HeldFlight, tank: int, baffle: Baffle, frequency_hz: float, 
 
 
 def _damp(slosh: Any, tank: int, ratio: float) -> None:
-    """Set a constant damping ratio of a packed pendulum in place of all its damping."""
+    """Replace all damping of a packed pendulum by a constant damping ratio."""
     slosh.damping_ratio[tank], slosh.law_factor[tank] = ratio, 0.0
 
 
 NEAR, MIDWAY = Baffle(0.1, 0.25), Baffle(0.5, 0.25)
-"""The rings, an eighth of the radius wide: just below the surface, and with the surface midway between two."""
+"""Rings with a width of an eighth of the radius: just below the surface, and with the surface midway between two."""
 
 
 @dataclass(frozen=True)
 class SloshAdvice:
-    """The advice on one tank at one time. Stations are in m aft of the nose. Dampings are ratios of the pendulum.
+    """The required damping of one tank at one time, and the baffles that provide it.
 
-    `needed` is the damping at which the closed loop is marginally stable, 0 if none is needed. `wave_m` and
-    `midway_wave_m` are the wave heights at which the baffles `NEAR` and `MIDWAY` give this damping. `midway_deg` is the
-    latter as the swing of the pendulum, which is the amplitude of the limit cycle. `flown_growth_1ps` is the growth
-    rate of a burst in flight with just the damping needed. `flown_deg` is the amplitude of the limit cycle in flight
-    with the midway ring's damping (NaN: not flown, or not settled).
+    Stations are in m aft of the nose. Damping ratios are those of the pendulum. `needed` is the damping at which the
+    closed loop is marginally stable, or 0 if none is needed. `wave_m` and `midway_wave_m` are the wave heights at which
+    the baffles `NEAR` and `MIDWAY` provide this damping. `midway_deg` is the swing of the latter, which is the
+    amplitude of the limit cycle. `flown_growth_1ps` is the growth rate of a burst in flight with the damping needed.
+    `flown_deg` is the amplitude of the limit cycle in flight with the midway ring, or NaN if it was not flown or did
+    not settle.
     """
 
     time_s: float
@@ -142,18 +147,18 @@ class SloshAdvice:
 
     @property
     def in_band(self) -> bool:
-        """Return True if the bob is between centre of percussion and CG."""
+        """Return True if the bob is between the centre of percussion and the CG."""
         return self.percussion_station_m < self.bob_station_m < self.cg_station_m
 
 
 def percussion_station_m(node: Node) -> float:
-    """Return the centre of percussion for lateral thrust, at which its onset causes no lateral acceleration."""
+    """Return the centre of percussion for lateral thrust, where the onset of thrust causes no lateral acceleration."""
     d = node.derivatives
     return node.vehicle.total_cg_station_m - d.z_delta_1ps * node.condition.airspeed_mps / d.m_delta_1ps2
 
 
 def advise(nodes: Sequence[Node], design: Design) -> list[SloshAdvice]:
-    """Return the advice on every tank with liquid at every operating point."""
+    """Return the required damping of every tank with liquid at every operating point."""
     out = []
     for node in nodes:
         bobs = node.vehicle.pendulums
@@ -181,13 +186,13 @@ def advise(nodes: Sequence[Node], design: Design) -> list[SloshAdvice]:
 
 
 def _has(node: Node) -> Array:
-    """Return the damping ratios of the tanks in small waves."""
+    """Return the damping ratios of the tanks for small waves."""
     return node.vehicle.pendulums.small_wave_damping(node.axial_load_mps2)
 
 
 def _needed(node: Node, design: Design, tank: int) -> float:
-    """Return the damping ratio of one tank below which the closed loop grows, or 0 if it never does."""
-    have = float(_has(node)[tank]) or 0.01  # baffles alone give no damping yet
+    """Return the damping ratio of one tank below which the closed loop is unstable, or 0 if it is always stable."""
+    have = float(_has(node)[tank]) or 0.01  # baffles alone provide no damping for small waves
     if _growth(node, design, tank, 0.0) < 0.0:
         return 0.0
     low, high = 0.0, 1.0
@@ -202,8 +207,9 @@ def _needed(node: Node, design: Design, tank: int) -> float:
 
 
 def _growth(node: Node, design: Design, tank: int, ratio: float) -> float:
-    """Return the greatest real part (1/s) of the loop's oscillating poles below 5 Hz with a damping ratio in place of a
-    tank's.
+    """Return the greatest real part (1/s) of the oscillatory closed-loop poles in the slosh band.
+
+    The damping of the tank is replaced by `ratio`.
     """
     loop = close_loop(fixed_path(_damped(node, tank, ratio)), design)
     return float(_oscillating(loop).real.max(initial=-math.inf))
@@ -217,13 +223,13 @@ def _damped(node: Node, tank: int, ratio: float) -> Node:
 
 
 def _oscillating(loop: Loop) -> ComplexArray:
-    """Return the closed-loop poles of the band, one of each conjugate pair, rad/s."""
+    """Return the closed-loop poles in the slosh band, one of each conjugate pair, rad/s."""
     poles = loop.closed_poles()
     return poles[(poles.imag > _BAND_RADPS[0]) & (poles.imag < _BAND_RADPS[1])]
 
 
 def confirm(loaded: LoadedScenario, node: Node, advice: SloshAdvice) -> SloshAdvice:
-    """Fly the held vehicle excited at the slosh frequency, with just the required damping and with the midway ring."""
+    """Fly the held vehicle excited at the slosh frequency, with the required damping and with the midway ring."""
     if not 0.0 < advice.needed < math.inf:
         return advice
 

@@ -2,7 +2,7 @@
 
     suite = read_suite("standard")
 
-Every mistake in a file is a ScenarioError of one line.
+Every mistake in a file is reported as a ScenarioError of one line.
 """
 
 from __future__ import annotations
@@ -35,8 +35,10 @@ from maxq.sim.scenario.schema_scenario import Scenario
 
 SuiteVerdict = Literal["accepted", "accepted with waivers", "passed screening", "rejected", "undecided"]
 ACCEPTED: SuiteVerdict = "accepted"
-WAIVED: SuiteVerdict = "accepted with waivers"  # every requirement that is missed is waived
-SCREENED: SuiteVerdict = "passed screening"  # every requirement is met, with less than the floor of an acceptance
+WAIVED: SuiteVerdict = "accepted with waivers"  # every missed requirement is waived
+SCREENED: SuiteVerdict = (
+    "passed screening"  # every requirement is met, but the evidence is below the floor of an acceptance
+)
 REJECTED: SuiteVerdict = "rejected"
 UNDECIDED: SuiteVerdict = "undecided"
 
@@ -45,10 +47,10 @@ UNDECIDED: SuiteVerdict = "undecided"
 class JudgedRequirement:
     """A requirement with its verdict.
 
-    `part` is the method, "scenarios", "margins", "dispersed", "authority", "certificate", "campaign". `wanted` and
-    `found` are texts. `room` is the share of the limit that remains, negative beyond it, NaN if that has no meaning.
-    `where` is an operating point or a run. `again` is the command that reproduces it. `waived` is the waiver of a
-    rejected requirement that is in force (`waivers`).
+    `part` is the method: "scenarios", "margins", "dispersed", "authority", "certificate" or "campaign". `wanted` and
+    `found` are texts. `room` is the relative margin to the limit, negative beyond it, and NaN if it has no meaning.
+    `where` is an operating point or a run. `again` is the command that reproduces the result. `waived` is the waiver in
+    force of a rejected requirement (`waivers`).
     """
 
     part: str
@@ -64,7 +66,7 @@ class JudgedRequirement:
 
     @property
     def reason(self) -> str:
-        """Return the reason as one line."""
+        """Return the reason for the verdict as one line of text."""
         said = f"{self.name}: {self.found}, required {self.wanted}" + (f" ({self.where})" if self.where else "")
         said += f"; waived by {self.waived}" if self.waived else ""
         if self.judgement != UNDECIDED:
@@ -73,10 +75,11 @@ class JudgedRequirement:
 
 
 def overall(requirements: Iterable[JudgedRequirement], missing_evidence: Iterable[str] = ()) -> SuiteVerdict:
-    """Return the verdict: rejected if any requirement is, else undecided if any is or if there is no requirement.
+    """Return the verdict on all requirements.
 
+    It is rejected if any requirement is rejected, or else undecided if any is undecided or there is no requirement.
     Otherwise it is accepted, with waivers if a rejected requirement is waived. If evidence is missing
-    (`floor.missing_evidence`), the screening is passed instead, and no waiver counts.
+    (`floor.missing_evidence`), it is a passed screening instead, and waivers have no effect.
     """
     screening = any(missing_evidence)
     found = {WAIVED if r.waived and r.judgement == REJECTED and not screening else r.judgement for r in requirements}
@@ -86,16 +89,15 @@ def overall(requirements: Iterable[JudgedRequirement], missing_evidence: Iterabl
 
 
 def judgement_of(shown: str) -> SuiteVerdict:
-    """Return the verdict of a statistical test (`sim.campaign.statistics`)."""
+    """Return the verdict that corresponds to the result of a statistical test (`sim.campaign.statistics`)."""
     return ACCEPTED if shown == MET else REJECTED if shown == NOT_MET else UNDECIDED
 
 
 def room_left(value: float, bound: float, sense: str, unit: str = "") -> float:
-    """Return the share of a bound that remains, negative beyond it, and NaN for a bound of zero.
+    """Return the relative margin to a bound, negative beyond it, and NaN for a bound of zero.
 
-    `sense` is "<=" or ">=".
-
-    `unit` is that of a margin. If it is met within the tolerance of `violation`, the remaining share is zero.
+    `sense` is "<=" or ">=". `unit` is the unit of a stability margin. A margin that is met within the tolerance of
+    `violation` has at least zero room.
     """
     if bound == 0.0:
         return math.nan
@@ -110,7 +112,7 @@ Plane = Literal["pitch", "yaw"]
 
 
 class DispersedLimit(Section):
-    """A limit of dispersed flights, which replaces the scenario's limit."""
+    """A limit for dispersed flights, which replaces the limit of the scenario."""
 
     requirement: str = Field(description="name of the scenario's requirement")
     limit: float | str = Field(description="at most this, in the metric's unit; ${MARK * NUMBER} as in a flight")
@@ -125,7 +127,7 @@ Each = dict[str, Annotated[tuple[float | str, ...], Field(min_length=1)]]
 
 
 class SuiteFlight(Section):
-    """A scenario of the suite: the base scenario with changes and requirements."""
+    """A flight of the suite: the base scenario with changes and requirements."""
 
     name: str = Field(description="name in reports")
     each: Each = optional(
@@ -155,7 +157,7 @@ class SuiteFlight(Section):
                 raise refuse(f"does not distinguish the flights of ${key}", f"a name with ${key}", "name")
 
     def flights(self) -> list[SuiteFlight]:
-        """Return a flight for each combination of the values in `each`; without any, this flight alone."""
+        """Return a flight for each combination of the values in `each`, or this flight alone without such values."""
         out = []
         for values in product(*self.each.values()):
             said = dict(zip(self.each, (f"{v:g}" if isinstance(v, float) else v for v in values), strict=True))
@@ -175,7 +177,7 @@ TIMES = "vehicle times, s (default: chosen from the flight, in every stage)"
 
 
 class WorstWanted(Section):
-    """A search for the worst vehicle within the dispersions, with independent modes and tanks, and its flight."""
+    """A search for the worst vehicle within the dispersions, with independent modes and tanks, and a flight of it."""
 
     sigmas: Positive = optional("limit of the search, sigma", 3.0)
     region: Literal["ellipsoid", "box"] = optional(
@@ -270,7 +272,7 @@ class CampaignWanted(Section):
 
 
 class Suite(Section):
-    """A suite file."""
+    """The contents of a suite file."""
 
     schema_version: Literal[2] = optional("version of the format", 2, alias="schema")
     name: str = optional("default: the file's name", "")
@@ -303,7 +305,7 @@ class Suite(Section):
 
 
 def set_words(changes: Iterable[str]) -> list[str]:
-    """Return the options that make these changes.
+    """Return the command-line options for the given changes.
 
     TOML strings in single quotes, which are inconvenient in a shell, are written with double quotes if the meaning is
     the same.
@@ -324,15 +326,17 @@ class LoadedSuite:
     suite: Suite
     label: str  # the name given by the user
     overrides: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()  # flights whose parts the vehicle lacks (`fitted.fit`); parts by `only`
-    part: str = ""  # that is judged alone (`only`)
-    along: CampaignWanted | None = None  # whose draws and flights apply to a vehicle that is measured alone
-    asked: Suite = field(default_factory=Suite.model_construct)  # as it was read: not fitted, and whole
+    left_out: tuple[
+        str, ...
+    ] = ()  # flights for parts that the vehicle does not have (`fitted.fit`); parts excluded by `only`
+    part: str = ""  # part that is verified alone (`only`)
+    along: CampaignWanted | None = None  # campaign of the draws and flights of a vehicle that is measured alone
+    asked: Suite = field(default_factory=Suite.model_construct)  # the whole suite as read, before fitting
     baseline: str = "standard"  # the suite with which it is compared
     shipped: str = "standard"  # the shipped suite that it extends or equals
 
     def command(self, design: str, vehicle: str | None = None, *more: str) -> str:
-        """Return the command that judges a design by this suite. `more` contains further words."""
+        """Return the command that verifies a design by this suite. `more` contains additional arguments."""
         built_in = design.startswith("designs/")
         words = ["simverify", Path(design).stem if built_in else design]
         words += ["--suite", self.label] if self.label != "standard" else []
@@ -342,7 +346,7 @@ class LoadedSuite:
     def only(self, label: str) -> LoadedSuite:
         """Return the suite with one flight, one vehicle of the linear margins, or the certificate alone.
 
-        The limits of the suite are unchanged. Raises ScenarioError.
+        The limits of the suite are unchanged. Raises ScenarioError for an unknown part.
         """
         suite = self.suite
         flights = tuple(f for f in suite.flight if f.name == label)
@@ -372,9 +376,9 @@ class LoadedSuite:
 
 
 def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
-    """Return the suite in a file, or the built-in one of that name, with `key=value` overrides. Raises ScenarioError.
+    """Return the suite in a file, or the built-in suite of that name, with `key=value` overrides. Raises ScenarioError.
 
-    Scenarios, campaigns and winds that it names are those in its folder, if they exist there, else the shipped ones.
+    Scenarios, campaigns and winds are first searched for in the folder of the suite, then among the shipped ones.
     """
     changes = tuple(overrides)
     suite, tree, file, _, files = load_file(Suite, "suite", name, changes)
@@ -402,12 +406,11 @@ def read_suite(name: str | Path, overrides: Iterable[str] = ()) -> LoadedSuite:
 
 
 def shared_risk(loaded: LoadedSuite, campaigns: Sequence[Campaign], designs: int, number: int = 0) -> list[str]:
-    """Return overrides that judge one of several designs with an unchanged risk of accepting a bad one among all of
-    them.
+    """Return overrides that divide the risk of accepting a bad design among several designs.
 
     A design that is selected from many because it passed had many opportunities to pass by chance. Each design
     therefore gets its share of the risk (Bonferroni). `campaigns` are those of the suite, as loaded. A `number` above 0
-    also gives design `number` its own seeds, so that its draws are not those by which another design was selected.
+    also gives design `number` its own seeds, so that its draws differ from those that selected another design.
     """
     suite, out = loaded.suite, []
 
@@ -425,11 +428,10 @@ def shared_risk(loaded: LoadedSuite, campaigns: Sequence[Campaign], designs: int
 
 
 def limit_changes(loaded: LoadedSuite, which: str, scenario: Scenario) -> list[str]:
-    """Return the overrides of the scenario's requirements by those of the suite.
+    """Return the overrides that replace the scenario's limits by those of the suite.
 
-    `which` is "own" (none) or "dispersed".
-
-    Raises ScenarioError if the scenario has no such requirement, or if the requirement is no upper limit.
+    `which` is "own" (no replacement) or "dispersed". Raises ScenarioError if the scenario has no such requirement, or
+    if it is not an upper limit.
     """
     if which == "own":
         return []

@@ -1,10 +1,10 @@
 """The intervals of a flight without operating points, which the report of a design lists.
 
 Under thrust, these are the times before the first operating point of a stage and after its last, and stages without any
-points. The authority of the gimbals is reported if `LONG_TAIL_S` or more of a tail-off is not covered.
+operating points. The authority of the gimbals is reported if `LONG_TAIL_S` or more of a tail-off is not covered.
 
 Without thrust, these are the coasts in which the airframe is unstable. No gimbal can control it there, and a
-disturbance grows by exp(integral of sqrt(M_alpha) dt), with M_alpha the restoring derivative of the rigid body along
+disturbance grows by exp(integral of sqrt(M_alpha) dt), where M_alpha is the moment derivative of the rigid body along
 the flight. Aerodynamic damping is neglected.
 """
 
@@ -26,18 +26,18 @@ from maxq.sim.vehicle.engine.burn import stage_burns
 
 BETWEEN = "between the operating points, where no limit was checked"
 BRIEF_S = 1e-6  # shorter intervals are not listed
-COAST_STEP_S = 0.1  # between the instants at which a coast to the next burn is examined
-LAST_STEP_S = 1.0  # likewise of the coast after the last burnout
-MOST_INSTANTS = 300  # of a coast
-GROWS = 2.0  # least growth factor of a disturbance in a coast that is listed
-TAIL_INSTANTS = 41  # of a long tail-off
+COAST_STEP_S = 0.1  # least step between instants in a coast to the next burn
+LAST_STEP_S = 1.0  # step between instants in the coast after the last burnout
+MOST_INSTANTS = 300  # largest number of instants in a coast
+GROWS = 2.0  # least growth factor of a disturbance for which a coast is listed
+TAIL_INSTANTS = 41  # number of instants in a long tail-off
 TAIL_OFF = "tail-off, with less than"
 RESTARTED = "burns after a restart, no operating point"
 
 
 @dataclass(frozen=True)
 class Uncovered:
-    """An interval, s on the vehicle clock, of a stage, from 0, and the reason for which it has no operating points."""
+    """An interval (s on the vehicle clock) of a stage, from 0, and the reason why it has no operating points."""
 
     stage: int
     begin_s: float
@@ -56,10 +56,10 @@ def uncovered(
     plane: Plane = "pitch",
     at_points_only: Collection[int] = (),
 ) -> tuple[Uncovered, ...]:
-    """Return the intervals of a flight up to its loss that the operating points of its stages do not cover.
+    """Return the intervals of a flight, up to its loss, that the operating points of its stages do not cover.
 
     `points_s` contains the times of the operating points by stage, from 0. `at_points_only` contains the stages that
-    were not checked between these.
+    were not checked between their operating points.
     """
     spans, loss = powered_flight(flight)
     stages = flight.vehicle.stage
@@ -95,7 +95,7 @@ def _of_span(span: Span, points_s: Sequence[float], full_end_s: float, share: fl
 
 
 def _with_authority(flight: LoadedScenario, found: Sequence[Uncovered], plane: Plane) -> list[Uncovered]:
-    """Return the intervals, those of a long tail-off with the authority of the gimbals."""
+    """Return the intervals, with the gimbal authority added to those of a long tail-off."""
     out, run = list(found), None
     for n, part in sorted(enumerate(found), key=lambda each: each[1].begin_s):
         gimballed = any(engine.gimbal != "fixed" for engine in flight.vehicle.stage[part.stage].engines)
@@ -143,7 +143,7 @@ def _unstable_coasts(flight: LoadedScenario, spans: Sequence[Span], plane: Plane
 
 
 def _unstable_parts(times_s: np.ndarray, m_alpha: np.ndarray, stage: int) -> list[Uncovered]:
-    """Return the runs of instants with M_alpha > 0 in which a disturbance grows by `GROWS` or more."""
+    """Return the intervals with M_alpha > 0 in which a disturbance grows by a factor of `GROWS` or more."""
     out = []
     edges = np.flatnonzero(np.diff(np.concatenate([[False], m_alpha > 0.0, [False]]).astype(int)))
     for first, after in zip(edges[::2], edges[1::2], strict=True):

@@ -1,4 +1,4 @@
-"""The judgement of a design by a suite: flights, linear margins, certificate, campaigns, their results and the verdict.
+"""The verification of a design by a suite: flights, linear margins, certificate, campaigns, results and the verdict.
 
 found = verify("ksr3-robust", read_suite("standard"))
 found.judgement, [r.reason for r in found.requirements if r.judgement == "rejected"]
@@ -54,14 +54,14 @@ from maxq.sim.scenario.loader import LoadedScenario, load_scenario, told
 
 UNDER_TEST = "code under test"
 WAITING = "waiting for"
-"""Part of the text that `watch` gets while another process flies the campaign."""
+"""A word in the text for `watch` while another process flies the campaign."""
 SAMPLE = 2
-"""Recalled results of each kind that are computed again."""
+"""The number of recalled results of each kind that are computed again."""
 
 
 @dataclass(frozen=True)
 class Reused:
-    """The parts that were recalled from the cache, by name, those computed again, and those that differ."""
+    """The names of the parts that were recalled from the cache, of those computed again, and of those that differ."""
 
     names: tuple[str, ...]
     computed_again: tuple[str, ...]
@@ -78,22 +78,22 @@ class Verification:
     requirements: tuple[JudgedRequirement, ...]
     results: Results = field(repr=False)
     campaigns: tuple[flown.CampaignResult, ...] = field(repr=False)
-    left_out: tuple[str, ...]  # of the suite, for parts that the vehicle does not have
-    missing_evidence: tuple[str, ...]  # below the floor of an acceptance (`floor`)
-    compared: Compared  # the suite with its baseline
+    left_out: tuple[str, ...]  # flights and limits that were omitted because the vehicle lacks a part
+    missing_evidence: tuple[str, ...]  # evidence that is missing for an acceptance (`floor`)
+    compared: Compared  # comparison of the suite with its baseline
     hashes: dict[str, str]  # SHA-256 of all inputs of the verdict, by name
     versions: dict[str, str]
-    attempt: ledger.Attempt = field(repr=False)  # and the other attempts for the vehicle
+    attempt: ledger.Attempt = field(repr=False)  # includes the other attempts for the vehicle
     seeds: tuple[seeds.Seed, ...]
     asked: dict[str, Any]  # design, vehicle, suite, overrides and part, by name
     board: board_findings.BoardFindings = field(repr=False)
-    deviations: str = ""  # the description of the dispersed vehicles, as text
-    part: str = ""  # that was judged alone
+    deviations: str = ""  # description of the dispersed vehicles
+    part: str = ""  # part that was verified alone
     reused: Reused = Reused((), (), ())
     worked_out: int = 0
     wall_s: float = 0.0
     walls_s: dict[str, float] = field(default_factory=dict)
-    cpus_s: dict[str, float] = field(default_factory=dict)  # of all threads
+    cpus_s: dict[str, float] = field(default_factory=dict)  # includes all threads
 
     def __repr__(self) -> str:
         counts = ", ".join(f"{len(found)} {j}" for j in (ACCEPTED, REJECTED, UNDECIDED) if (found := self.of(j)))
@@ -112,12 +112,12 @@ class Verification:
 
     @property
     def more_runs(self) -> int:
-        """Return the number of campaign runs that would decide the undecided requirements, if none of them fails."""
+        """Return the number of campaign runs that would decide all undecided requirements, if none of them fails."""
         return max((r.more_runs for r in self.requirements), default=0)
 
     @property
     def waived(self) -> list[JudgedRequirement]:
-        """Return the requirements that are missed and waived."""
+        """Return the missed requirements that are waived."""
         return [r for r in self.requirements if r.waived]
 
     def of(self, judgement: SuiteVerdict) -> list[JudgedRequirement]:
@@ -125,8 +125,10 @@ class Verification:
 
     @property
     def merit(self) -> tuple[int, int, float]:
-        """Return the key for ranking: fewer rejected, fewer undecided, then a larger margin of the tightest
-        requirement.
+        """Return the sort key for a ranking, in which a larger key is better.
+
+        The criteria are, in this order, fewer rejected requirements, fewer undecided requirements, and a larger least
+        margin.
         """
         rooms = [r.room for r in self.requirements if math.isfinite(r.room)]
         undecided = sum(r.judgement not in (ACCEPTED, REJECTED) for r in self.requirements)
@@ -135,9 +137,9 @@ class Verification:
 
 @dataclass(frozen=True)
 class Prepared:
-    """The inputs of a verification, loaded before any judgement, with their hashes by name.
+    """The inputs of a verification, loaded in advance, with their hashes by name.
 
-    `loaded` is the suite fitted to the vehicle. `flights` contains scenario and changes of each flight.
+    `loaded` is the suite fitted to the vehicle. `flights` contains the scenario and the changes of each flight.
     """
 
     design: str
@@ -154,15 +156,17 @@ class Prepared:
 
     @property
     def shown(self) -> str:
-        """Return the design, relative to the working folder if it is below that folder."""
+        """Return the design, as a path relative to the working folder if it is inside that folder."""
         return shown(Path(self.design)) if Path(self.design).is_absolute() else self.design
 
     @property
     def asked(self) -> dict[str, Any]:
-        """Return the input by name: design, vehicle, suite, its overrides, and the part that is judged alone."""
+        """Return the inputs by name: design, vehicle, suite, overrides, and the part that is verified alone."""
         suite = self.loaded
         return {
-            "design": f"./{self.shown}" if self.shown != self.design else self.design,  # a file, no built-in name
+            "design": f"./{self.shown}"
+            if self.shown != self.design
+            else self.design,  # the prefix marks a file rather than a built-in name
             "vehicle": self.vehicle,
             "suite": suite.label,
             "overrides": suite.overrides,
@@ -194,7 +198,7 @@ class Prepared:
 
 
 def prepare(design: str, loaded: LoadedSuite, vehicle: str | None, kept: PartsOnDisk, candidate: int = 0) -> Prepared:
-    """Load the inputs of a verification. Raises ScenarioError if an input is wrong."""
+    """Load the inputs of a verification. Raises ScenarioError for an invalid input."""
     baseline = read_suite(loaded.baseline)
     compared = against_baseline(loaded, vehicle, baseline)
     scenario = load_scenario(loaded.suite.scenario, flown.design_changes(design, vehicle))
@@ -228,15 +232,15 @@ def verify(
     candidate: int = 0,
     sample: int = SAMPLE,
 ) -> Verification:
-    """Judge a design by a suite, and write begin and end of the attempt to the ledger (`ledger`).
+    """Verify a design by a suite, and write the beginning and end of the attempt to the ledger (`ledger`).
 
-    `design` is as a scenario names it. `memory` is the folder of parts, None for none. `candidate` is the number of a
-    candidate of `simdesign --verify`, after the first. `sample` is the number of recalled parts, and of recalled runs
-    of each campaign, that are computed again and compared.
+    `design` is a name as in a scenario. `memory` is the folder for parts, or None to store nothing. `candidate` is the
+    number of a candidate of `simdesign --verify`, after the first. `sample` is the number of recalled parts, and of
+    recalled runs of each campaign, that are computed again for comparison.
 
-    Raises ScenarioError before any flight if an input is wrong. Raises FileError if the ledger cannot be written, or if
-    a recalled result differs from its computation. Raises KeyboardInterrupt soon after `stop` returns True (results up
-    to then are kept).
+    Raises ScenarioError before any flight if an input is invalid. Raises FileError if the ledger cannot be written, or
+    if a recalled result differs from its computation. Raises KeyboardInterrupt soon after `stop` returns True; results
+    up to then are kept.
     """
     kept = PartsOnDisk(memory)
     prepared = prepare(design, loaded, vehicle, kept, candidate)
@@ -283,7 +287,7 @@ def _verify(
     suite, scenarios, job = loaded.suite, prepared.flights, prepared.parts(kept, interruptible, workers)
     with timed("scenarios"):
         flights = flown.fly_suite(loaded, scenarios, kept, partial(interruptible, "scenarios"), workers)
-    with timed("linear margins"):  # only the requested part is repeated
+    with timed("linear margins"):  # omits the other parts if one is requested alone
         alone = suite.margins is not None and suite.margins.only in (WORST, CERTIFICATE)
         margin, limits, slosh = ([], [], []) if alone else (job.margins(), job.authority(), job.slosh())
     with timed("worst vehicle"):
@@ -332,8 +336,8 @@ def conclude(
 ) -> Verification:
     """Return the verification that follows from the results: its requirements, waivers and missing evidence.
 
-    It depends on nothing else, so that a pack can be judged again by its results. `deviations` are those of the
-    campaigns by kind.
+    It depends only on the arguments, so that a review pack can be assessed again from its results. `deviations` are
+    those of the campaigns by kind.
     """
     design, vehicle, loaded = prepared.design, prepared.vehicle, prepared.loaded
     suite, scenario, scenarios = loaded.suite, prepared.scenario, prepared.flights
@@ -352,7 +356,7 @@ def conclude(
 
     def at_node(c: NodeCertificate | InFlightResponse) -> str:
         changes = [f"certificate.times_s=[{c.time_s!r}]", f"certificate.planes=['{c.plane}']"]
-        if isinstance(c, NodeCertificate):  # which may be too near to the ends of thrust for the other
+        if isinstance(c, NodeCertificate):  # the time may be too close to the ends of thrust for an in-flight response
             changes.append("certificate.in_flight=false")
         return loaded.command(
             design, vehicle, *(x for change in changes for x in ("--set", change)), "--only", CERTIFICATE
@@ -454,14 +458,14 @@ def _hashes(scenario: LoadedScenario, flights: dict[str, str], campaigns: Sequen
 def part_alone(loaded: LoadedSuite, part: str, design: str, vehicle: str | None, kept: PartsOnDisk) -> LoadedSuite:
     """Return a suite fitted to its vehicle with one part alone (`LoadedSuite.only`). Raises ScenarioError."""
     along = flight_of(loaded.suite, design, vehicle)
-    named(loaded, along).only(part)  # a wrong name is rejected before the flight that the marks need
+    named(loaded, along).only(part)  # rejects an unknown name before the flight for the marks
     return fit(loaded, along, kept).only(part)
 
 
 def flight_of(suite: Suite, design: str, vehicle: str | None) -> LoadedScenario:
-    """Return the flight that gives a suite its operating points and marks: its scenario with its own design.
+    """Return the flight for the operating points and marks of a suite: its scenario with the scenario's own design.
 
-    If there is none, or if that flight is lost, it is the flight with the judged design.
+    If there is no such design, or if its flight is lost, the flight with the design under test is returned.
     """
     own = load_scenario(suite.scenario, [f'vehicle="{vehicle}"'] if vehicle is not None else [])
     if own.design is not None and powered_flight(own)[1] is None:
@@ -470,8 +474,9 @@ def flight_of(suite: Suite, design: str, vehicle: str | None) -> LoadedScenario:
 
 
 def flight_requirement(along: LoadedScenario) -> list[JudgedRequirement]:
-    """Reject a design if the flight that gives the operating points is lost, since no margin after the loss is
-    known.
+    """Return a rejected requirement if the flight of the operating points is lost, and an empty list otherwise.
+
+    No margin is known after the loss.
     """
     loss = powered_flight(along)[1]
     if loss is None:

@@ -1,7 +1,7 @@
-"""Waivers of requirements: the names that they may have, and their effect on a verdict.
+"""Waivers of requirements: the names of requirements that can be waived, and the effect of a waiver on a verdict.
 
-A waived requirement remains rejected, with its value. A waiver is in force if the requirement is missed by no more than
-its `room`, between its dates, and above the floor of an acceptance.
+A waived requirement remains rejected, with its value. A waiver is in force between its dates, if the requirement is
+missed by no more than its `room` and the evidence reaches the floor of an acceptance.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class AppliedWaiver:
 
 
 def waivable(loaded: LoadedSuite, vehicle: Vehicle, campaigns: Sequence[LoadedCampaign]) -> dict[str, list[str]]:
-    """Return the names of the requirements of a suite fitted to its vehicle that can be waived, by part."""
+    """Return the names of the requirements that can be waived, by part, for a suite fitted to its vehicle."""
     suite, out = loaded.suite, dict[str, list[str]]()
     stages = [stage_name(vehicle, n) for n in range(len(vehicle.stage))]
 
@@ -86,7 +86,8 @@ def apply_waivers(
 ) -> tuple[list[JudgedRequirement], tuple[AppliedWaiver, ...]]:
     """Return the requirements with their waivers, and the state of each waiver.
 
-    `date` (YYYY-MM-DD) is the day of the verdict. `screening` is True below the floor of an acceptance.
+    `date` (YYYY-MM-DD) is the day of the verdict. `screening` is True if the evidence is below the floor of an
+    acceptance.
     """
     out, applied = list(requirements), list[AppliedWaiver]()
     for waiver in board.waiver if board is not None else ():

@@ -1,18 +1,22 @@
 """The worst vehicle within the dispersions: a search at each operating point for the least distance of L from -1.
 
 Each draw of the campaign that changes the vehicle deviates independently, within an ellipsoid or a box. In an
-ellipsoid, all deviations together are no less likely than one alone at the given number of sigma. In a box, each
-deviation extends to this number. The search is among the independent scores that determine the deviations
-(`deviations.py`), in which a uniform draw stays within its bounds. From each start, the search follows the gradient to
-the point of that region where the linearised distance is least. It moves back towards the start until the distance has
-fallen, and repeats (Frank & Wolfe, Nav. Res. Logist. Q. 3, 1956). In a box, it continues to the corner that no single
-deviation makes worse. The gradient is that of L at the frequency nearest to -1, by differences of the vehicle's
-continuous response, without closing the loop. The best point of an operating point is the start of a local descent on
-measured distances, inside the region and along its surface (descent.py). Trials are measured together
-(margins/dispersed.py). An unstable loop counts as beyond -1 by its distance. Every operating point has a start at the
-nominal vehicle. Those with the worst results (`FURTHER` of them) have all other starts too. The worst vehicles are then
-measured at instants between the operating points and along dispersed trajectories, and the descent is repeated where
-they are worst. The search gives no lower bound: it shows only that this number of searches found no worse vehicle.
+ellipsoid, all deviations together are no less likely than a single one at the given number of sigma. In a box, each
+deviation extends to this number. The coordinates are the independent scores of the deviations (`deviations.py`), in
+which a uniform draw remains within its bounds.
+
+From each start, the search follows the gradient to the point of that region with the least linearised distance. It
+moves back towards the start until the distance has decreased, and repeats (Frank & Wolfe, Nav. Res. Logist. Q. 3,
+1956). In a box, it continues to a corner that no single deviation makes worse. The gradient is that of L at the
+frequency nearest to -1, by finite differences of the vehicle's continuous response, without closing the loop. A local
+descent on measured distances, inside the region and along its surface (descent.py), begins at the best point of an
+operating point. Trials are measured together (margins/dispersed.py). An unstable loop counts as beyond -1 by its
+distance.
+
+At every operating point, one search starts at the nominal vehicle. The `FURTHER` points with the worst results have all
+other starts too. The worst vehicles are then measured at instants between the operating points and along dispersed
+trajectories, and the descent is repeated where they are worst. The search gives no lower bound. It shows only that this
+number of searches found no worse vehicle.
 """
 
 from __future__ import annotations
@@ -50,22 +54,24 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 
 _LOWEST_HZ, _GRID = 1e-3, 200
-_AROUND = np.array([-8.0, -4.0, -2.0, -1.2, -0.6, -0.2, 0.2, 0.6, 1.2, 2.0, 4.0, 8.0])  # half widths about a resonance
-_MINIMA, _GOALS = 8, 2  # over frequency that are refined, and of these that a step makes for
-FURTHER = 6  # nodes of a plane and stage that are searched from all starts
+_AROUND = np.array(
+    [-8.0, -4.0, -2.0, -1.2, -0.6, -0.2, 0.2, 0.6, 1.2, 2.0, 4.0, 8.0]
+)  # points about a resonance, in half widths
+_MINIMA, _GOALS = 8, 2  # minima over frequency that are refined, and number of goals per step
+FURTHER = 6  # operating points of a plane and stage with searches from all starts
 INSTANTS_S, _MOST_INSTANTS = (0.5, 0.05), 300
-"""The steps between instants of the search between operating points, along the stage and about its worst instant."""
-_STEP = 1e-4  # of the region, in which the gradient is taken: at one frequency, a mode must not move by its width
+"""The steps between instants, along the stage and about its worst instant, and the largest number of instants."""
+_STEP = 1e-4  # step of the gradient relative to the region; at a fixed frequency, a mode must not move by its width
 _ROUNDS = 12
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
 
 
 @dataclass(frozen=True)
 class WorstVehicle:
-    """The worst vehicle found in a plane of a stage: scores of its deviations by name, and the outcome of its flight.
+    """The worst vehicle found in a plane of a stage, with its deviations and the outcome of its flight.
 
-    `modulus` is its least |1 + L|, 0 if it is unstable. `searches` is the number over all operating points. `text` is
-    its scenario (TOML).
+    `sigmas` are the scores of its deviations by name. `modulus` is its least |1 + L|, or 0 if it is unstable.
+    `searches` is the number over all operating points. `text` is its scenario (TOML).
     """
 
     stage: str
@@ -78,15 +84,17 @@ class WorstVehicle:
     flown: str = ""
     kept_control: bool = True
     text: str = ""
-    within_sigmas: float = math.nan  # of each deviation, at that node: no vehicle is unstable (named_mu.py)
+    within_sigmas: float = (
+        math.nan
+    )  # bound of each deviation at that node up to which no vehicle is unstable (named_mu.py)
     within_hz: float = math.nan
-    within_tried: int = 0  # frequencies
-    together_sigmas: float = math.nan  # the same of pitch, yaw and roll together
-    trajectory: int = 0  # number of the dispersed flight that gives speed and air; 0: the flight as designed
+    within_tried: int = 0  # number of frequencies
+    together_sigmas: float = math.nan  # the same bound for pitch, yaw and roll together
+    trajectory: int = 0  # number of the dispersed flight for speed and air, or 0 for the flight as designed
 
     @property
     def label(self) -> str:
-        """Return the largest deviations, in words."""
+        """Return the operating point and the largest deviations as text."""
         largest = sorted(self.sigmas.items(), key=lambda item: -abs(item[1]))[:5]
         words = [f"{name} {value:+.1f}" for name, value in largest]
         along = f", trajectory {self.trajectory}" if self.trajectory else ""
@@ -97,10 +105,10 @@ Looks = list[tuple[float, Array]]
 
 
 def distances(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Sequence[Array]], Looks]:
-    """Return a function of scores (places,), in units of three sigma.
+    """Return a function of scores (places,), in units of 3 sigma, that measures loops.
 
-    It returns the distances of loops from -1, and the frequencies (Hz) of the minima of each, the least first. The
-    distance is negative if the loop is unstable.
+    It returns the distance of each loop from -1 and the frequencies (Hz) of its minima, the least first. The distance
+    of an unstable loop is negative.
     """
     one, deviations = distance(node, design, campaign), deviations_of(campaign, node)
     try:
@@ -121,7 +129,7 @@ def distances(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[
 
 
 def distance(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Array], tuple[float, Array]]:
-    """Return the result of `distances` for one loop, measured individually."""
+    """Return the function for one loop that corresponds to `distances`, with an individual measurement."""
     deviations, law = deviations_of(campaign, node), law_at(design, node)
 
     def at(u: Array) -> tuple[float, Array]:
@@ -138,18 +146,20 @@ def distance(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[
         k, each = near.argmin(axis=0), np.arange(len(deepest))
         order = np.argsort(near[k, each])
         least = float(near[k, each][order[0]])
-        drift_radps = 2.0 * np.pi * lowest_hz_of(np.asarray(loop.open_poles()))  # slower poles are drift, not unstable
+        drift_radps = (
+            2.0 * np.pi * lowest_hz_of(np.asarray(loop.open_poles()))
+        )  # slower poles count as drift and not as unstable
         return -least if growing_count(loop.closed_poles(), drift_radps) else least, fine[k, each][order]
 
     return at
 
 
 def slope(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
-    """Return |1 + L| at frequencies (Hz), and its change by `steps` (places,) of the scores, per step: (frequencies,
-    places).
+    """Return a function for |1 + L| at frequencies (Hz) and its derivatives with respect to scores.
 
-    L changes with actuator, vehicle and delay, separately for each sensor. The contribution of sampling changes little,
-    and the search measures the loop at its end points.
+    The derivatives have the shape (frequencies, places). The derivatives are finite differences with `steps` (places,).
+    L changes with actuator, vehicle and delay, separately for each sensor. The effect of sampling changes little and is
+    held constant; the search measures the loop at its end points.
     """
     deviations, law, node = deviations_of(campaign, node), law_at(design, node), with_drives_apart(node)
     if any(name in DRIFTS for name in law.inputs):
@@ -191,11 +201,10 @@ def slope(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Arr
 def search_node(
     node: Node, design: Design, campaign: LoadedCampaign, wanted: WorstWanted, starts: Sequence[int] | None = None
 ) -> tuple[float, Array, int]:
-    """Return the least distance found at an operating point, its scores in units of three sigma, and the number of
-    loops measured.
+    """Return the least distance found at an operating point, its scores in units of 3 sigma, and the number of loops.
 
-    `starts` are selected by their numbers, 0 being the nominal vehicle (default: all). The best point is the start of a
-    local descent.
+    `starts` are the numbers of the starts, with 0 for the nominal vehicle. The default is all starts. A local descent
+    begins at the best point.
     """
     region, count = Region(wanted.region, wanted.sigmas / 3.0), len(deviations_of(campaign, node).places)
     look = _Look(distances(node, design, campaign))
@@ -209,7 +218,7 @@ def search_node(
         for _ in range(_ROUNDS):
             steps = np.where(u > 0.0, -_STEP, _STEP) * region.reach
             near, slopes = change(u, hz, steps)
-            # an unstable loop is moved further beyond -1; otherwise the minima predicted to become least are used
+            # moves an unstable loop further beyond -1, and a stable one towards the minima with the least prediction
             goals = [region.farthest(-by) for by in slopes] if value > 0.0 else [region.farthest(slopes[0])]
             promised = [at + by @ (goal - u) for at, by, goal in zip(near, slopes, goals, strict=False)]
             likely = [goals[k] for k in np.argsort(promised)[:_GOALS]]
@@ -230,7 +239,7 @@ def search_node(
 def refine_at(
     node: Node, design: Design, campaign: LoadedCampaign, wanted: WorstWanted, points: Sequence[Array]
 ) -> tuple[float, Array, int]:
-    """Return the result of `search_node` for a descent at the worst of `points`, scores in units of three sigma."""
+    """Return the result of `search_node` for a descent from the worst of `points`, with scores in units of 3 sigma."""
     look = _Look(distances(node, design, campaign))
     values = look.values(points)
     k = int(np.argmin(values))
@@ -240,7 +249,7 @@ def refine_at(
 
 @dataclass
 class _Look:
-    """The distances at points, with a count of the loops."""
+    """The measurement of distances, with a count of the loops."""
 
     measure: Callable[[Sequence[Array]], Looks]
     loops: int = 0
@@ -254,8 +263,9 @@ class _Look:
 
 
 def _towards(u: Array, goal: Array, share: float, region: Region) -> Array:
-    """Return a point part of the way, or on the surface of an ellipsoid, since the worst point is hardly ever
-    inside.
+    """Return the point at a fraction of the way to a goal, moved to the surface of an ellipsoidal region.
+
+    The worst point is rarely inside an ellipsoid.
     """
     there = u + share * (goal - u)
     return there if region.shape == "box" else region.farthest(there)
@@ -273,10 +283,10 @@ def search_plane(
     nodes_at: Callable[[Sequence[float]], Sequence[Node]] | None = None,
     trajectories: Sequence[Sequence[Node]] = (),
 ) -> WorstVehicle:
-    """Return the worst vehicle over the operating points of a plane and stage, measured exactly there, and flown.
+    """Return the worst vehicle over the operating points of a plane and stage, measured exactly and flown.
 
-    `nodes_at` returns operating points at instants between those given, which are searched too. `trajectories` are the
-    operating points in other flights, (flights, nodes).
+    `nodes_at` returns operating points at instants between those given, for a search between them. `trajectories` are
+    the operating points in other flights, (flights, nodes).
     """
     further = min(FURTHER, len(nodes)) if wanted.starts > 1 else 0
 
@@ -325,7 +335,7 @@ def measure_worst(
 ) -> WorstVehicle:
     """Measure a vehicle exactly at an operating point, and fly it.
 
-    `sigmas` are the scores of its deviations by name. `counts` are the searches and loops by which it was found.
+    `sigmas` are the scores of its deviations by name. `counts` are the numbers of searches and loops that found it.
     """
     deviations, u = deviations_of(campaign, node), np.array(list(sigmas.values())) / 3.0
     loop = Loop(fixed_path(disperse(node, deviations.at(u, "worst"))), law_at(design, node))
@@ -363,10 +373,10 @@ def _refined_beside(
     workers: int,
     most: int = FURTHER,
 ) -> tuple[list[Searched], int]:
-    """Return descents at the `most` operating points where the worst vehicles known are worst, and the number of loops.
+    """Return descents at the `most` operating points where the known worst vehicles have the least distances.
 
-    Each operating point uses the worst vehicles of the two searched points that are nearest in time, and the worst of
-    all.
+    The number of loops is returned too. At each operating point, the known worst vehicles are those of the two searched
+    points nearest in time, and the worst of all.
     """
     worst_u = min(searched, key=lambda each: each[1][0])[1][1]
 
@@ -392,7 +402,7 @@ def modulus_name(wanted: WorstWanted) -> str:
 
 
 def worst_requirements(found: WorstVehicle, wanted: WorstWanted, again: str) -> list[JudgedRequirement]:
-    """Judge the distance of the worst vehicle, if a limit is given, and its control in flight."""
+    """Return the requirements on the distance of the worst vehicle, if it is limited, and on its control in flight."""
     whose = ", ".join(filter(None, (found.plane, found.stage)))
     said = f"{found.modulus:.3f}" if found.modulus else "unstable"
     said += f"; no worse vehicle found in {found.searches} searches ({found.loops} loops)"
