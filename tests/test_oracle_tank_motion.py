@@ -1,13 +1,16 @@
-"""Both slosh modes of a tank in motion: a free body and two bobs on rods, each in inertial Cartesian coordinates.
+"""Both slosh modes of a tank in motion, also after a separation: a free body and two bobs on rods.
 
-Newton's and Euler's equations with the two rods as constraints (multipliers), integrated by DOP853. No coordinates, mass
-matrix or reduction of docs/model.md are used, only its data: hinges, lengths, masses and the damper (section 5).
+Newton's and Euler's equations in inertial coordinates, with the rods as constraints (multipliers), by DOP853. No
+coordinates, mass matrix or reduction of docs/model.md are used, only its data: hinges, lengths, masses and the damper
+(section 5), and the place at which a separation leaves them (section 4).
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from flightkit import Parts, Tank, composed, flown, rig, scenario_of, with_stage
+from flightkit import Parts, Tank, Tree, composed, flown, rig, scenario_of, stage_of, with_stage
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -39,7 +42,7 @@ def hinges() -> Array:
     return np.array([[x - bob.hinge_station_m, bob.place_m[0] - y, bob.place_m[1] - z] for bob in BOBS])
 
 
-def rates(_time: float, state: Array) -> Array:
+def rates(_time: float, state: Array, thrust_N: float) -> Array:
     """Time derivative of r, v, q (x, y, z, w), rate_B of the core, then place and velocity of each bob, all in I."""
     r, v, w = state[0:3], state[3:6], state[10:13]
     places, speeds = state[13:19].reshape(2, 3), state[19:25].reshape(2, 3)
@@ -48,10 +51,10 @@ def rates(_time: float, state: Array) -> Array:
     masses = np.array([bob.mass_kg for bob in BOBS])
     gimbal = np.array([PARTS.core_cg[0] - PARTS.gimbal_station_m, *PARTS.gimbal_offset_m])
     gimbal[1:] -= PARTS.core_cg[1:]
-    push = np.array([PARTS.thrust_N, 0.0, 0.0])
+    push = np.array([thrust_N, 0.0, 0.0])
     loads = np.zeros(12)  # force on the core in I, moment on it in B, forces on the bobs in I
     loads[:3], loads[3:6] = turn @ push, np.cross(gimbal, push) - np.cross(w, inertia @ w)
-    axial = PARTS.thrust_N / (PARTS.core_mass_kg + masses.sum())
+    axial = thrust_N / (PARTS.core_mass_kg + masses.sum())
     jacobian, bias = np.zeros((2, 12)), np.zeros(2)
     for k, (bob, hinge) in enumerate(zip(BOBS, hinges(), strict=True)):
         rod = places[k] - r - turn @ hinge
@@ -74,9 +77,9 @@ def rates(_time: float, state: Array) -> Array:
     return np.concatenate([v, accel[:3], spin, accel[3:6], speeds.ravel(), accel[6:12]])
 
 
-def test_two_modes_of_a_tank_swing_as_two_bobs_on_rods() -> None:
+def stage() -> Tree:
+    """The parts as a stage whose one tank has both modes."""
     mass, cg, inertia = composed(PARTS)
-    whole = {"mass_kg": mass, "x_cg_m": cg[0], "y_cg_m": cg[1], "z_cg_m": cg[2], "inertia_kgm2": inertia}
     tank = {
         "table": {
             "time_s": [0.0],
@@ -91,38 +94,74 @@ def test_two_modes_of_a_tank_swing_as_two_bobs_on_rods() -> None:
         "second_damping_ratio": SECOND.damping_ratio,
         "position_m": list(PLACE_M),
     }
-    made = rig(with_stage(scenario_of(PARTS, switches={"actuator": "ideal"}), mass=whole, tank=[tank]))
+    whole = {"mass_kg": mass, "x_cg_m": cg[0], "y_cg_m": cg[1], "z_cg_m": cg[2], "inertia_kgm2": inertia}
+    return stage_of(PARTS) | {"mass": whole, "tank": [tank]}
+
+
+def cartesian(origin: Array, place: Array, velocity: Array, q: Array, rate: Array, bobs: Array) -> Array:
+    """State of `rates` from the core's state and (u, kappa) of each bob; places relative to `origin`."""
+    turn = Rotation.from_quat([*q[1:], q[0]])
+    places, speeds = [], []
+    for bob, hinge, (u, kappa) in zip(BOBS, hinges(), bobs, strict=True):
+        places.append(place - origin + turn.apply(hinge + bob.length_m * u))
+        speeds.append(velocity + turn.apply(np.cross(rate, hinge) + bob.length_m * kappa))
+    return np.concatenate([place - origin, velocity, q[1:], q[:1], rate, *places, *speeds])
+
+
+def assert_moved(sizes: Any, y: Array, origin: Array, start: Array, seconds: float, thrust_N: float) -> None:
+    """The state `y` is where the constrained bodies are after this time."""
+    wanted = solve_ivp(rates, (0.0, seconds), start, "DOP853", rtol=1e-11, atol=1e-11, args=(thrust_N,)).y[:, -1]
+    firsts = [int(pendulum_index(sizes, n)) for n in range(len(BOBS))]
+    bobs = np.array([[y[k : k + 3], y[k + 3 : k + 6]] for k in firsts])
+    got = cartesian(origin, y[R_I : R_I + 3], y[V_I : V_I + 3], y[Q_BI : Q_BI + 4], y[W_BI_B : W_BI_B + 3], bobs)
+    assert (Rotation.from_quat(wanted[6:10]).inv() * Rotation.from_quat(got[6:10])).magnitude() < 1e-8
+    for part, limit in ((slice(0, 6), 1e-7), (slice(10, 13), 1e-8), (slice(13, 19), 1e-7), (slice(19, 25), 1e-6)):
+        np.testing.assert_allclose(got[part], wanted[part], rtol=0.0, atol=limit)
+
+
+def test_two_modes_of_a_tank_swing_as_two_bobs_on_rods() -> None:
+    tree = scenario_of(PARTS, switches={"actuator": "ideal"})
+    made = rig(with_stage(tree, **stage()))
     y = made.y
     rng = np.random.default_rng(7)
-    rate = np.array([0.4, -0.3, 0.25])
-    y[W_BI_B : W_BI_B + 3] = rate
-    w, i, j, k = y[Q_BI : Q_BI + 4]
-    turn = Rotation.from_quat([i, j, k, w]).as_matrix()
-    places, speeds = [], []
-    for n, (bob, hinge) in enumerate(zip(BOBS, hinges(), strict=True)):
+    y[W_BI_B : W_BI_B + 3] = 0.4, -0.3, 0.25
+    bobs = np.zeros((2, 2, 3))
+    for n in range(2):
         u = np.array([-1.0, *rng.uniform(-0.5, 0.5, 2)])
         u /= np.linalg.norm(u)
         kappa = rng.normal(0.0, 1.0, 3)
-        kappa -= (kappa @ u) * u
+        bobs[n] = u, kappa - (kappa @ u) * u
         first = int(pendulum_index(made.sizes, n))
-        y[first : first + 3], y[first + 3 : first + 6] = u, kappa
-        places.append(y[R_I : R_I + 3] + turn @ (hinge + bob.length_m * u))
-        speeds.append(y[V_I : V_I + 3] + turn @ (np.cross(rate, hinge) + bob.length_m * kappa))
-    start = np.concatenate([y[R_I : R_I + 3], y[V_I : V_I + 3], [i, j, k, w], rate, *places, *speeds])
+        y[first : first + 6] = bobs[n].ravel()
     origin = y[R_I : R_I + 3].copy()
-    start[0:3] -= origin
-    start[13:19] -= np.tile(origin, 2)
-    wanted = solve_ivp(rates, (0.0, END_S), start, "DOP853", rtol=1e-11, atol=1e-11).y[:, -1]
-    end = flown(made, END_S)[-1]
-    turn = Rotation.from_quat([*end[Q_BI + 1 : Q_BI + 4], end[Q_BI]])
-    assert (Rotation.from_quat(wanted[6:10]).inv() * turn).magnitude() < 1e-8
-    np.testing.assert_allclose(end[W_BI_B : W_BI_B + 3], wanted[10:13], rtol=0.0, atol=1e-8)
-    np.testing.assert_allclose(end[R_I : R_I + 3] - origin, wanted[0:3], rtol=0.0, atol=1e-7)
-    np.testing.assert_allclose(end[V_I : V_I + 3], wanted[3:6], rtol=0.0, atol=1e-7)
-    for n, (bob, hinge) in enumerate(zip(BOBS, hinges(), strict=True)):
-        first = int(pendulum_index(made.sizes, n))
-        place = end[R_I : R_I + 3] - origin + turn.apply(hinge + bob.length_m * end[first : first + 3])
-        np.testing.assert_allclose(place, wanted[13 + 3 * n : 16 + 3 * n], rtol=0.0, atol=1e-7)
-        swing = np.cross(end[W_BI_B : W_BI_B + 3], hinge) + bob.length_m * end[first + 3 : first + 6]
-        speed = end[V_I : V_I + 3] + turn.apply(swing)
-        np.testing.assert_allclose(speed, wanted[19 + 3 * n : 22 + 3 * n], rtol=0.0, atol=1e-6)
+    start = cartesian(origin, origin, y[V_I : V_I + 3], y[Q_BI : Q_BI + 4], y[W_BI_B : W_BI_B + 3], bobs)
+    assert_moved(made.sizes, flown(made, END_S)[-1], origin, start, END_S, PARTS.thrust_N)
+
+
+def test_an_upper_stage_starts_from_the_motion_of_the_lower_one() -> None:
+    """The structure keeps place, attitude and velocity; the liquid starts at rest in it, as the model states."""
+    lower = Parts(
+        core_mass_kg=9000.0,
+        core_cg=(11.0, -0.05, 0.08),
+        core_inertia=((4000.0, 0.0, 0.0), (0.0, 9.0e4, 0.0), (0.0, 0.0, 9.1e4)),
+        tanks=(Tank(700.0, 0.8, 13.0),),
+        thrust_N=0.0,
+    )
+    tree = scenario_of(lower, switches={"actuator": "ideal"})
+    tree["vehicle"]["stage"] = [stage_of(lower) | {"separation_s": 0.5}, stage() | {"ignition_s": 50.0}]
+    made = rig(tree)
+    run = made.run()
+    run.fly_segment(500_000_000)
+    y = run.packed.state
+    rate = np.array([0.4, -0.3, 0.25])
+    y[W_BI_B : W_BI_B + 3] = rate
+    origin, q = y[R_I : R_I + 3].copy(), y[Q_BI : Q_BI + 4].copy()
+    jump = np.array([lower.core_cg[0] - PARTS.core_cg[0], *(np.subtract(PARTS.core_cg, lower.core_cg)[1:])])
+    turn = Rotation.from_quat([*q[1:], q[0]])
+    place, velocity = origin + turn.apply(jump), y[V_I : V_I + 3] + turn.apply(np.cross(rate, jump))
+    down = np.array([-1.0, 0.0, 0.0])
+    bobs = np.tile([down, np.cross(rate, down)], (2, 1, 1))
+    start = cartesian(origin, place, velocity, q, rate, bobs)
+    run.fly_segment(500_000_000)
+    sizes = run.packed.parameters[1].vehicle.sizes
+    assert_moved(sizes, run.packed.state, origin, start, 0.5, 0.0)
