@@ -1,8 +1,8 @@
 """Both slosh modes of a tank in motion, also after a separation: a free body and two bobs on rods.
 
-Newton's and Euler's equations in inertial coordinates, with the rods as constraints (multipliers), by DOP853. No
-coordinates, mass matrix or reduction of docs/model.md are used, only its data: hinges, lengths, masses and the damper
-(section 5), and the place at which a separation leaves them (section 4).
+Newton's and Euler's equations in inertial coordinates, with the rods as constraints (multipliers), by DOP853. They
+share no coordinates, mass matrix or reduction with docs/model.md. From it come the damper (section 5) and the state
+in which a separation leaves the liquid (section 4).
 """
 
 from __future__ import annotations
