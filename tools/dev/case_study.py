@@ -71,6 +71,20 @@ ON_COMPLIANCE: dict[str, tuple[str, ...]] = {
 ON_LOAD = 1000  # random vehicles
 MARGINS = ("gain, dB", "phase, deg", "least \\|1+L\\|")
 CORNERS, CORNER_SIGMAS = 40, Robust().corner_sigmas
+POINTS_S = (1.0, 22.0, 45.0, 65.0, 85.0)  # of the launcher with boosters: a fifth of the points that a case chooses
+BOOSTERS: dict[str, tuple[str, ...]] = {  # changes of the case that simvehicle writes
+    "two-phase": ("gains.schedule='two-phase'", "objective.kind='first-mode-peak'"),
+    "integrated": ("gains.schedule='linear'", "objective.kind='first-mode-peak'"),
+    "robust": ("gains.schedule='linear'", "objective.kind='least-margin'", "robust={}"),
+}
+BOOSTERS_FLOWN: dict[str, tuple[str, ...]] = {
+    "still air": (),
+    "limit wind": ("wind.profile=vehicle/limit_wind.csv",),
+    "burn rates 1.02, 0.98": (
+        "vehicle.stage.0.booster.0.engine.mass_flow_factor=1.0212",
+        "vehicle.stage.0.booster.1.engine.mass_flow_factor=0.9788",
+    ),
+}
 TextRows = Sequence[Sequence[str]]
 
 
@@ -377,6 +391,78 @@ def flights() -> list[str]:
     )
 
 
+# A launcher with boosters
+def boosters_folder() -> Path:
+    """Return the folder of the launcher with boosters that `simvehicle` builds."""
+    folder = RUNS / "heron"
+    if not (folder / "case.toml").exists():
+        subprocess.run([Path(sys.executable).with_name("simvehicle"), "heron", "--out", folder], check=True)
+    return folder
+
+
+def boosters_designed() -> dict[str, Any]:
+    """Return design.json of each design of the first stage, with boosters, for five operating points."""
+    limits = (
+        "stages=[1]",
+        f"nodes_s={list(POINTS_S)}",
+        "between_nodes='ignore'",
+        "limits.gain_margin_db=6.0",
+        "limits.phase_margin_deg=30.0",
+        "limits.first_mode_phase_deg=30.0",
+        "limits.second_mode_db=-6.0",
+        "limits.modes_from_3_db=-6.0",
+        "limits.rigid_hz=0.28",
+        "reference.rigid_hz=0.28",
+        "reference.rigid_zeta=0.5",
+    )
+    case = str(boosters_folder() / "case.toml")
+    return {
+        name: kept(f"heron-{name}/design.json", "simdesign", case, "--no-pictures", *set_((*limits, *changes)))
+        for name, changes in BOOSTERS.items()
+    }
+
+
+def boosters_points(times_s: Sequence[float]) -> dict[str, tuple[Design, Sequence[Node]]]:
+    """Return each design with operating points of its own flight."""
+    boosters_designed()
+    out: dict[str, tuple[Design, Sequence[Node]]] = {}
+    for name in BOOSTERS:
+        loaded = load_scenario(str(boosters_folder() / "scenario.toml"), [f'design="{_of(name)}"'])
+        assert loaded.scenario.design is not None
+        out[name] = loaded.scenario.design, operating_points.nodes(loaded, times_s)
+    return out
+
+
+def _of(name: str) -> str:
+    return str((RUNS / f"heron-{name}" / "design.toml").resolve())
+
+
+def boosters() -> list[str]:
+    """Compare the peak of mode 1 and the margins: at the operating points, every 2 s, and at random corners."""
+    deviating = campaign_of(Robust(), load_scenario(str(boosters_folder() / "scenario.toml")))
+    between, rows = boosters_points(np.arange(2.0, 85.0, 2.0).tolist()), []
+    for name, (design, nodes) in boosters_points(POINTS_S).items():
+        peak_db = max(j.mode_peak_db(1, 1) for j in judge(nodes, design, "sampled"))
+        stable, least = at_corners(nodes, design, Ranges(deviating, CORNER_SIGMAS))
+        nominal = (*_three(worst(nodes, design)), *_three(worst(between[name][1], design)))
+        rows.append((name, f"{peak_db:.2f}", *nominal, f"{stable} of {CORNERS}", *_three(least)))
+    nominal = (*MARGINS, *(f"{what}, every 2 s" for what in MARGINS))
+    head = ("design", "mode 1, dB", *nominal, "stable at corners", *(f"{what}, corners" for what in MARGINS))
+    return table(head, rows)
+
+
+def boosters_flown() -> list[str]:
+    """Fly the designs until the boosters leave."""
+    boosters_designed()
+    return in_flight(
+        str(boosters_folder() / "scenario.toml"),
+        {
+            (name, where): [f'design="{_of(name)}"', "run.duration_s=85.5", *changes]
+            for name, (where, changes) in itertools.product(BOOSTERS, BOOSTERS_FLOWN.items())
+        },
+    )
+
+
 def campaigns() -> list[str]:
     """Return the requirements of both designs in moderate turbulence and gust."""
     flown = []
@@ -460,6 +546,8 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "flights": flights,
     "campaigns": campaigns,
     "verdicts": verdicts,
+    "boosters": boosters,
+    "boosters-flown": boosters_flown,
 }
 
 
