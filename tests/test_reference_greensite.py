@@ -6,6 +6,7 @@
 | margins of HM3's design and of the four vertices of its uncertainty | its table, to 0.05 dB, 0.2 deg and 1 ms |
 | Zavoli's schedule, 10 to 150 s | independent model: stability, and margins to 1e-6 dB |
 | growth of mode 1 with its filter reflected; roots at frozen points | linear flight with varying coefficients (SciPy) |
+| q alpha and drift of both designs in turbulence at 72 s | independent model, spectrum of MIL-F-8785C |
 | Zavoli's schedule through a wind, with varying coefficients | pitch, angle of attack and mode 1 stay small |
 | the term that HM3 leaves out, a thrust line along the bent body | independent model; 0.21 dB |
 
@@ -21,6 +22,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 from oracles import greensite_launcher as oracle
@@ -191,3 +193,28 @@ def test_the_thrust_line_along_the_bent_body_is_worth_a_fifth_of_a_decibel() -> 
         assert (wanted.lower_db, wanted.upper_db, wanted.phase_deg) == pytest.approx(
             (lower_db, upper_db, phase), abs=0.006
         )
+
+
+@pytest.mark.parametrize(
+    ("law", "load_Padeg", "drift_mps"), [(HM3, 3485.2, 0.12922), (law_at(72.0), 3390.2, 0.08466)], ids=["HM3", "Zavoli"]
+)
+def test_rms_in_turbulence_is_the_integral_over_the_spectrum(
+    law: oracle.Law, load_Padeg: float, drift_mps: float
+) -> None:
+    """Lateral wind of 1 m/s over 533 m (Dryden), 0.02 to 5 Hz, through the closed loop with its exact delay."""
+    p = oracle.coefficients(72.0)
+    hz = np.geomspace(0.02, 5.0, 4001)
+    s = 2j * math.pi * hz
+    model = oracle.plant(p)
+    drift_of_cg = np.array([[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]])
+    ways = control.ss(model.A, model.B, np.vstack([model.C, drift_of_cg]), np.vstack([model.D, [0.0, 0.0]]))(s)
+    path = oracle.before(law)(s, squeeze=False)[0, 0] * np.exp(-0.02 * s)
+    by_gimbal, by_wind = (law.gains @ ways[:4, k] for k in range(2))
+    gimbal = -path * by_wind / (1.0 + path * by_gimbal)
+    speed = p["V_mps"]
+    alpha, drift = ((ways[k, 0] * gimbal + ways[k, 1]) / speed for k in (4, 5))
+    y = 533.0 * 2.0 * math.pi * hz / speed
+    density = 2.0 * 533.0 / speed * (1.0 + 3.0 * y**2) / (1.0 + y**2) ** 2  # (m/s)^2 per Hz
+    alpha_rms, drift_rms = (math.sqrt(np.trapezoid(np.abs(t) ** 2 * density, hz)) for t in (alpha, drift))
+    assert p["dynamic_pressure_Pa"] * math.degrees(alpha_rms) == pytest.approx(load_Padeg, rel=1e-4)
+    assert drift_rms == pytest.approx(drift_mps, rel=1e-4)
