@@ -5,6 +5,7 @@
 | strapdown over a coning motion | product of ten thousand small SciPy rotations |
 | attitude error at any attitude | SciPy: Euler angle of the roll, angle and axis between the noses |
 | a flight that rolls by 90 deg | attitude of the programme's rates by `solve_ivp`; heading by its nose |
+| a free body that spins and nutates, in flight | closed form of its motion, SciPy's rotations of the exact increments |
 | metric of truth, gyro with a bias | bias times time |
 """
 
@@ -14,6 +15,7 @@ import math
 
 import numpy as np
 import pytest
+from flightkit import Parts, load, scenario_of
 from scipy.integrate import quad, solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -151,3 +153,49 @@ def test_requirements_see_what_the_computer_does_not() -> None:
     drift = 2000.0 / 3600.0 * 50.0
     assert flight.metrics["max_computer_attitude_error_deg"] < 4.0
     assert flight.metrics["max_attitude_error_deg"] == pytest.approx(drift, abs=4.0)
+
+
+# --- a body that spins and nutates
+SPIN, NUTATION, CONE_SAMPLE_S, CONE_S = 6.0, 0.5, 0.02, 6.0  # rad/s, s
+INERTIA_KGM2 = 9.0e4, 5.0e4  # about x, about y and z
+BODY_RADPS = SPIN * (INERTIA_KGM2[0] - INERTIA_KGM2[1]) / INERTIA_KGM2[1]  # of the transverse rate in body axes
+
+
+def cone_angles(t: float) -> Array:
+    """Integral of the body rates (p, w cos(n t), w sin(n t)) of a symmetric body without torque."""
+    n = BODY_RADPS
+    return np.array([SPIN * t, NUTATION / n * math.sin(n * t), NUTATION / n * (1.0 - math.cos(n * t))])
+
+
+def test_the_computer_follows_a_body_that_cones() -> None:
+    """Closed form of the motion: about the momentum, then back about the body axis. Its drift is that of (9.2)."""
+    around, across = INERTIA_KGM2
+    parts = Parts(
+        engine=False, core_inertia=((around, 0.0, 0.0), (0.0, across, 0.0), (0.0, 0.0, across)), core_cg=(7.0, 0.0, 0.0)
+    )
+    flight = fly(
+        load(
+            scenario_of(
+                parts,
+                vehicle={"computer": {"sample_s": CONE_SAMPLE_S, "delay_s": 0.0}},
+                initial={"rate_BI_radps": [SPIN, NUTATION, 0.0]},
+                switches={"gyro": "ideal", "converter": "ideal"},
+                run={"duration_s": CONE_S + 0.5 * CONE_SAMPLE_S},  # half a sample after the last one
+            )
+        )
+    )
+    momentum = np.array([around * SPIN, across * NUTATION, 0.0]) / across
+    exact = Rotation.from_rotvec(momentum * CONE_S) * Rotation.from_rotvec([-BODY_RADPS * CONE_S, 0.0, 0.0])
+    at = int(np.searchsorted(flight.time_s("q_BI_x"), CONE_S - 1e-9))
+    true = Rotation.from_quat([float(flight[f"q_BI_{name}"][at]) for name in "xyzw"])
+    start = Rotation.from_quat([float(flight[f"q_BI_{name}"][0]) for name in "xyzw"])
+    assert ((start * exact).inv() * true).magnitude() < 1e-8
+    times = CONE_SAMPLE_S * np.arange(round(CONE_S / CONE_SAMPLE_S) + 1)
+    angles = np.diff([cone_angles(t) for t in times], axis=0)
+    ours, plain, before = Rotation.identity(), Rotation.identity(), np.zeros(3)
+    for angle in angles:
+        ours = ours * Rotation.from_rotvec(angle + np.cross(before, angle) / 12.0)
+        plain, before = plain * Rotation.from_rotvec(angle), angle
+    measured = Rotation.from_quat([float(flight[f"q_BR_measured_{name}"][-1]) for name in "xyzw"])
+    assert (ours.inv() * measured).magnitude() < 1e-8
+    assert (exact.inv() * measured).magnitude() < 0.1 * (exact.inv() * plain).magnitude()

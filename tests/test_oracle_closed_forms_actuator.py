@@ -361,3 +361,51 @@ def test_tail_wags_dog_bends_the_body() -> None:
         y[layout.ACTUATOR : layout.ACTUATOR + 12] = swing(made, axis, 0.0, 1.0)
         dy = made.derivative(y)
         assert np.isclose(dy[int(first) + 1], sign * wanted, rtol=1e-9)
+
+
+def test_play_keeps_the_loop_in_a_limit_cycle() -> None:
+    """Period and peak rate of a rigid body under PD, against a simulation of the same loop in a few lines of Python.
+
+    Every 1 ms the servo is propagated exactly, the play is applied, and the body moves under the mean of the angle.
+    """
+    k_p, k_d, sample_s, delay_s, step_s, half, end_s = 1.0, 1.2, 0.005, 0.001, 0.001, math.radians(0.1), 60.0
+    parts = Parts(thrust_N=2.0e4)
+    effect = 2.0e4 * (parts.gimbal_station_m - parts.core_cg[0]) / parts.core_inertia[1][1]  # 1/s2
+    tree = scenario_of(
+        parts,
+        design={"schema": 2, "gains": {"table": {"time_s": [0.0], "k_p": [k_p], "k_d_s": [k_d]}}},
+        vehicle={"computer": {"sample_s": sample_s, "delay_s": delay_s}},
+        initial={"rate_BI_radps": [0.0, 0.01, 0.0]},
+        switches={"converter": "ideal", "gyro": "ideal"},
+    )
+    made = rig(with_stage(tree, actuator=modelled("second-order", backlash_deg=2.0 * math.degrees(half))))
+    flight = flown(made, end_s, 0.01)[:, layout.W_BI_B + 1]
+    omega, zeta = 2.0 * math.pi * 5.8, 0.87
+    a = np.array([[0.0, 1.0], [-omega * omega, -2.0 * zeta * omega]])
+    onwards = expm(a * step_s)
+    (p11, p12), (p21, p22) = onwards.tolist()
+    theta, rate, servo, servo_rate, engine, command_rad, waiting, last = 0.0, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    rates = []
+    for k in range(round(end_s / step_s)):
+        if k % 10 == 0:
+            rates.append(rate)
+        if k % 5 == 0:
+            waiting = -k_p * theta - k_d * (theta - last) / sample_s
+            last = theta
+        elif k % 5 == 1:
+            command_rad = waiting
+        off = servo - command_rad
+        servo, servo_rate = command_rad + p11 * off + p12 * servo_rate, p21 * off + p22 * servo_rate
+        before, engine = engine, min(max(engine, servo - half), servo + half)
+        theta += step_s * rate + step_s**2 * effect * (before / 3.0 + engine / 6.0)
+        rate += step_s * effect * 0.5 * (before + engine)
+    ours, theirs = cycle(np.array(rates), 0.01), cycle(flight, 0.01)
+    assert ours == pytest.approx((7.14, 1.58e-3), rel=3e-3)
+    assert theirs == pytest.approx(ours, rel=1e-3)
+
+
+def cycle(rates: Array, every_s: float) -> tuple[float, float]:
+    """Period and amplitude of the last three cycles."""
+    up = np.flatnonzero((rates[:-1] < 0.0) & (rates[1:] >= 0.0))[-4:]
+    times = every_s * (up - rates[up] / (rates[up + 1] - rates[up]))
+    return float(times[-1] - times[0]) / 3.0, float(np.abs(rates[up[0] : up[-1]]).max())

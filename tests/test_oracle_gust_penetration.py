@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from aero_tables import AIR, MODES, PARTS, REFERENCE, STABILITY
-from flightkit import Parts, Rig, Tree, merged, rig, scenario_of, with_stage
+from flightkit import Parts, Rig, Tree, flown, merged, rig, scenario_of, with_stage
 from oracles.hand_model import planar_of
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, blank
@@ -17,7 +19,7 @@ from maxq.design.model.node import nodes_along
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.air.packing import surface_stations
-from maxq.sim.vehicle.state import eta_index, xi_index
+from maxq.sim.vehicle.state import Q_BI, R_I, V_I, W_BI_B, eta_index, xi_index
 from maxq.sim.world.gust_history import GustHistory, gust_behind, history_start, history_tick
 from maxq.sim.world.turbulence import TurbulenceState
 
@@ -277,3 +279,89 @@ def test_what_one_gust_for_the_whole_body_makes_wrong() -> None:
     np.testing.assert_allclose(np.array(found)[:, 0], [0.46, 0.25, 0.155], atol=0.03)
     assert (np.array(found)[:, 1] < -0.15).all()
     assert (np.array(found)[:, 1] > -0.37).all()
+
+
+# --- a flight through gusts
+WALLS = (  # beginning, thickness, edge, m; speed towards north, m/s
+    (5050.0, 80.0, 40.0, 14.0),
+    (5190.0, 120.0, 25.0, -11.0),
+)
+AREA_M2, CHORD_M = REFERENCE["area_m2"], 1.3
+AXIAL, DAMPING, TILT_DEG = 0.4, -60.0, 75.0
+
+
+def wall_mps(altitude: float) -> float:
+    """North component of the wind: raised cosines at the edges, constant between them."""
+    total = 0.0
+    for beginning, thickness, edge, speed in WALLS:
+        inside = min(altitude - beginning, beginning + thickness - altitude)
+        total += speed * 0.5 * (1.0 - math.cos(math.pi * min(max(inside / edge, 0.0), 1.0)))
+    return total
+
+
+def planar_rates(_time: float, state: Array, penetration: bool) -> Array:
+    """North, altitude, pitch angle of the axis above the horizon and their rates (docs/model.md, section 6)."""
+    _, altitude, pitch, north_mps, up_mps, q = state
+    c, s = math.cos(pitch), math.sin(pitch)
+    mass, cg, inertia = PARTS.core_mass_kg, PARTS.core_cg[0], PARTS.core_inertia[1][1]
+    half = 0.5 * 0.9 * AREA_M2
+
+    def flow(station: float) -> tuple[float, float]:
+        wind = wall_mps(altitude + (cg - station) * s if penetration else altitude)
+        return (north_mps - wind) * c + up_mps * s, (north_mps - wind) * s - up_mps * c
+
+    u, w = flow(cg)
+    along, across, moment = -half * AXIAL * u * abs(u), 0.0, 0.5 * half * math.hypot(u, w) * CHORD_M**2 * DAMPING * q
+    for station, slope in SURFACES:
+        u, w = flow(station)
+        force = -half * slope * abs(u) * w
+        across += force
+        moment -= (cg - station) * force
+    accel = np.array([along * c + across * s, along * s - across * c]) / mass
+    return np.array([north_mps, up_mps, q, *accel, moment / inertia])
+
+
+@pytest.mark.parametrize("penetration", [True, False])
+def test_flight_through_gusts(penetration: bool) -> None:
+    """SciPy's integration of the plane motion, 75 deg above the horizon, through a short gust and a longer one."""
+    tables = [{"table": {"mach": [0.0], "CN_alpha_pr": [cn], "station_m": [x]}} for x, cn in SURFACES]
+    aero = {"table": {"mach": [0.0], "CA": [AXIAL], "Cmq": [DAMPING]}, "surface": tables}
+    pitch = math.radians(TILT_DEG)
+    start = [0.0, 5000.0, pitch, SPEED * math.cos(pitch), SPEED * math.sin(pitch), 0.0]
+    parts = Parts(engine=False, core_cg=(PARTS.core_cg[0], 0.0, 0.0))
+    gusts = [
+        {
+            "kind": "one-minus-cosine",
+            "altitude_m": beginning,
+            "thickness_m": thickness,
+            "edge_m": edge,
+            "speed_mps": abs(speed),
+            "from_deg": 180.0 if speed > 0.0 else 0.0,
+        }
+        for beginning, thickness, edge, speed in WALLS
+    ]
+    made = in_wind(
+        aero,
+        parts,
+        {"gust": gusts},
+        vehicle={"reference": REFERENCE | {"chord_m": CHORD_M}},
+        switches={"gust_penetration": penetration},
+        initial={"euler_deg": [0.0, TILT_DEG, 0.0], "ned_mps": [start[3], 0.0, -start[4]]},
+    )
+    end_s = 1.0
+    begun = made.y.copy()
+    y = flown(made, end_s)[-1]
+    wanted = solve_ivp(
+        planar_rates, (0.0, end_s), start, "DOP853", rtol=1e-11, atol=1e-11, max_step=2e-3, args=(penetration,)
+    ).y[:, -1]
+    first, last = (Rotation.from_quat([*x[Q_BI + 1 : Q_BI + 4], x[Q_BI]]) for x in (begun, y))
+    turn = (first.inv() * last).as_rotvec()
+    to_ned = Rotation.from_euler("ZYX", [0.0, TILT_DEG, 0.0], degrees=True) * first.inv()
+    place, velocity = (
+        to_ned.apply(y[k : k + 3] - shift) for k, shift in ((R_I, begun[R_I : R_I + 3]), (V_I, np.zeros(3)))
+    )
+    np.testing.assert_allclose(turn, [0.0, wanted[2] - pitch, 0.0], rtol=0.0, atol=1e-7)
+    np.testing.assert_allclose(y[W_BI_B : W_BI_B + 3], [0.0, wanted[5], 0.0], rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(velocity, [wanted[3], 0.0, -wanted[4]], rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(place, [wanted[0], 0.0, start[1] - wanted[1]], rtol=0.0, atol=1e-6)
+    assert abs(wanted[5]) > 0.01

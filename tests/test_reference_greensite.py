@@ -5,6 +5,9 @@
 | rows of the plant at 72 s | the published coefficients, to six digits |
 | margins of HM3's design and of the four vertices of its uncertainty | its table, to 0.05 dB, 0.2 deg and 1 ms |
 | Zavoli's schedule, 10 to 150 s | independent model: stability, and margins to 1e-6 dB |
+| growth of mode 1 with its filter reflected; roots at frozen points | linear flight with varying coefficients (SciPy) |
+| q alpha and drift of both designs in turbulence at 72 s | independent model, spectrum of MIL-F-8785C |
+| Zavoli's schedule through a wind, with varying coefficients | pitch, angle of attack and mode 1 stay small |
 | the term that HM3 leaves out, a thrust line along the bent body | independent model; 0.21 dB |
 
 The numbers are those of NASA CR-820 ff. (Greensite, 1967-70) by two public courses, with their notice in the files.
@@ -15,9 +18,11 @@ from __future__ import annotations
 import csv
 import dataclasses
 import math
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 from oracles import greensite_launcher as oracle
@@ -99,7 +104,7 @@ def test_the_third_vertex_has_less_margin_at_a_crossing_that_hm3_does_not_classi
 @pytest.mark.parametrize("time_s", SCHEDULE)
 def test_zavolis_schedule_is_stable_with_its_right_half_plane_zeros(time_s: float) -> None:
     law, p = SCHEDULE[time_s], oracle.coefficients(time_s)
-    loop = maxq_loop(point(time_s), law)
+    loop = maxq.loop(point(time_s), "greensite-zavoli", kind="exact")
     found, phase_deg = measured(loop)
     assert found.stable
     assert (oracle.closed_poles(p, law).real < 0.0).all()
@@ -124,6 +129,51 @@ def test_zavolis_filter_is_unstable_with_left_half_plane_zeros(time_s: float) ->
     assert (oracle.closed_poles(oracle.coefficients(time_s), mirrored).real > 0.0).sum() == 2
 
 
+def law_at(time_s: float, zero_zeta: float = -0.2) -> oracle.Law:
+    """The schedule between its rows, gains and filter frequency linear in time."""
+    rows_s = np.array(list(SCHEDULE))
+
+    def at(of: Callable[[oracle.Law], float]) -> float:
+        return float(np.interp(time_s, rows_s, [of(law) for law in SCHEDULE.values()]))
+
+    gains = [at(lambda law, k=k: law.gains[k]) for k in range(4)]
+    return oracle.Law(*gains, notch=(at(lambda law: law.notch[0]), zero_zeta, 0.5))
+
+
+def test_mode_1_grows_as_the_roots_at_frozen_points_say() -> None:
+    """Envelope from 61 to 69 s, as the plant and the filter change; its samples bound the error to 1 %."""
+    _, states = oracle.flown(lambda t: law_at(t, 0.2), (60.0, 69.4), np.array([0.0, 0.0, 0.0, 0.0, 0.01, 0.0]))
+    first, last = (np.abs(states[round((t - 60.0) / 0.02) :][:20, 4]).max() for t in (61.0, 69.0))
+    roots = []
+    for t in np.arange(61.2, 69.3, 1.0):
+        poles = maxq_loop(point(t), law_at(t, 0.2)).closed_poles()
+        roots.append(poles.real.max())
+    assert math.log(last / first) == pytest.approx(np.trapezoid(roots, dx=1.0), rel=0.01)
+    assert last / first == pytest.approx(27.9, abs=0.1)
+
+
+def test_zavolis_schedule_carries_the_vehicle_through_a_wind_with_varying_coefficients() -> None:
+    """From 10 to 150 s; a lateral wind of 10 m/s rises from 70 to 72 s and stays (docs/verification.md).
+
+    The gains on the drift grow thirtyfold from 100 to 110 s: the vehicle then returns to its trajectory at once.
+    """
+    times, states = oracle.flown(
+        law_at,
+        (10.0, 150.0),
+        np.array([0.0, 0.0, 0.01, 0.0, 0.1, 0.0]),
+        lambda t: 5.0 * (1.0 - math.cos(math.pi * min(max((t - 70.0) / 2.0, 0.0), 1.0))),
+        step_s=0.05,
+    )
+    alpha_deg, drift_m = np.degrees(np.abs(states[:, 6])), np.abs(states[:, 0])
+    wind, later = (times > 69.0) & (times < 80.0), times > 80.0
+    assert alpha_deg[wind].max() == pytest.approx(0.94, abs=0.01)
+    assert alpha_deg[later].max() == pytest.approx(2.57, abs=0.01)
+    assert times[later][alpha_deg[later].argmax()] == pytest.approx(104.8, abs=0.1)
+    assert drift_m.max() == pytest.approx(97.3, abs=0.1)
+    assert np.abs(states[-1, :6]).max() < 0.3
+    assert np.abs(states[times > 69.0, 4]).max() < 3e-3
+
+
 def test_the_thrust_line_along_the_bent_body_is_worth_a_fifth_of_a_decibel() -> None:
     """The numbers of docs/verification.md: PD alone, with HM3's rounded gains."""
     at, law = point(72.0), dataclasses.replace(HM3, k_theta=1.73, k_thetad=0.69, k_z=0.0, k_zd=0.0)
@@ -143,3 +193,28 @@ def test_the_thrust_line_along_the_bent_body_is_worth_a_fifth_of_a_decibel() -> 
         assert (wanted.lower_db, wanted.upper_db, wanted.phase_deg) == pytest.approx(
             (lower_db, upper_db, phase), abs=0.006
         )
+
+
+@pytest.mark.parametrize(
+    ("law", "load_Padeg", "drift_mps"), [(HM3, 3485.2, 0.12922), (law_at(72.0), 3390.2, 0.08466)], ids=["HM3", "Zavoli"]
+)
+def test_rms_in_turbulence_is_the_integral_over_the_spectrum(
+    law: oracle.Law, load_Padeg: float, drift_mps: float
+) -> None:
+    """Lateral wind of 1 m/s over 533 m (Dryden), 0.02 to 5 Hz, through the closed loop with its exact delay."""
+    p = oracle.coefficients(72.0)
+    hz = np.geomspace(0.02, 5.0, 4001)
+    s = 2j * math.pi * hz
+    model = oracle.plant(p)
+    drift_of_cg = np.array([[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]])
+    ways = control.ss(model.A, model.B, np.vstack([model.C, drift_of_cg]), np.vstack([model.D, [0.0, 0.0]]))(s)
+    path = oracle.before(law)(s, squeeze=False)[0, 0] * np.exp(-0.02 * s)
+    by_gimbal, by_wind = (law.gains @ ways[:4, k] for k in range(2))
+    gimbal = -path * by_wind / (1.0 + path * by_gimbal)
+    speed = p["V_mps"]
+    alpha, drift = ((ways[k, 0] * gimbal + ways[k, 1]) / speed for k in (4, 5))
+    y = 533.0 * 2.0 * math.pi * hz / speed
+    density = 2.0 * 533.0 / speed * (1.0 + 3.0 * y**2) / (1.0 + y**2) ** 2  # (m/s)^2 per Hz
+    alpha_rms, drift_rms = (math.sqrt(np.trapezoid(np.abs(t) ** 2 * density, hz)) for t in (alpha, drift))
+    assert p["dynamic_pressure_Pa"] * math.degrees(alpha_rms) == pytest.approx(load_Padeg, rel=1e-4)
+    assert drift_rms == pytest.approx(drift_mps, rel=1e-4)

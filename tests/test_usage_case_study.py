@@ -16,7 +16,7 @@ from maxq.tools.dev import case_study
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE = "\n".join(page.read_text(encoding="utf-8") for page in sorted((DOCS / "case-study").glob("*.md")))
-OPTIMA = ("limits", "claims", "peaks", "parameters")
+OPTIMA = ("limits", "claims", "peaks")
 
 
 @pytest.mark.parametrize("name", OPTIMA)

@@ -63,7 +63,12 @@ LONG = (
     "petrel-robust",
 )
 """The designs whose analysis takes long, or is of the same kind as that of a quicker one."""
-GIVEN = {"greensite-hm3", "ksr3-default", "ksr3-robust"}  # by others, by another search, and with earlier plants
+GIVEN = {
+    "greensite-hm3",
+    "greensite-zavoli",
+    "ksr3-default",
+    "ksr3-robust",
+}  # by others, by another search, and with earlier plants
 Printed = pytest.CaptureFixture[str]
 
 

@@ -108,10 +108,14 @@ def test_the_shipped_design_is_what_its_case_asks_for() -> None:
     from maxq.sim.scenario.loader import read_design  # noqa: PLC0415  # with the program below
     from maxq.tools.dev.greensite import measured  # noqa: PLC0415  # the program of the table
 
-    for name, load, drift, lower_db in (("greensite", 3126.6, 0.0500, 6.5045), ("greensite-hm3", 3485.2, 0.1292, 6.0)):
+    for name, load, drift, gain_db, lower_db in (
+        ("greensite", 3126.6, 0.0500, 6.0, 6.5045),
+        ("greensite-hm3", 3485.2, 0.1292, 6.0, 6.0),
+        ("greensite-zavoli", 3390.2, 0.08466, 6.6496, 6.6496),
+    ):
         loop, wind = measured(read_design(name))
         assert loop.margins.stable
-        assert loop.margins.gain_db == pytest.approx(6.0, abs=2e-3)
+        assert loop.margins.gain_db == pytest.approx(gain_db, abs=2e-3)
         assert loop.margins.gain_down_db.value == pytest.approx(lower_db, abs=2e-3)
         assert [float(one.rms[0]) for one in wind] == pytest.approx([load, drift], rel=1e-3)
 

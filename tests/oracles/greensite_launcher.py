@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import control
 import numpy as np
+from scipy.linalg import expm
 from scipy.optimize import brentq
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios" / "points"
@@ -115,3 +117,47 @@ def margins(p: dict[str, float], law: Law, **of: float) -> RigidMargins:
     below = [k for k, w in enumerate(edges) if w < crossover][-1]
     above = next(k for k, w in enumerate(edges) if w > crossover)
     return RigidMargins(-db[below], phase, db[above], crossover, edges[below])
+
+
+def flown(
+    law_at: Callable[[float], Law],
+    span_s: tuple[float, float],
+    start: np.ndarray,
+    wind_mps: Callable[[float], float] = lambda _: 0.0,
+    step_s: float = 0.02,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The linear flight with coefficients and law that vary in time: times, and z, z', theta, theta', q, q', alpha.
+
+    `start` holds the first six. The filter is a pair of integrators with its frequency; the delay is Pade's of order 4.
+    Each step is exact for the coefficients in its middle.
+    """
+    times = np.linspace(*span_s, round((span_s[1] - span_s[0]) / step_s) + 1)
+    middles = 0.5 * (times[:-1] + times[1:])
+    late = control.ss(control.tf(*control.pade(0.02, 4)))
+    closed = np.zeros((len(middles), 15, 15))  # the last state is one
+    seconds = np.arange(math.floor(span_s[0]), math.ceil(span_s[1]) + 1.0)
+    speeds = np.array([coefficients(t)["V_mps"] for t in seconds])
+    models = [plant(coefficients(t)) for t in seconds]
+    tables = [np.stack([getattr(model, name) for model in models]) for name in "ABC"]
+    for m, t in zip(closed, middles, strict=True):
+        k, law = int(t - seconds[0]), law_at(t)
+        a, b, c = ((1.0 - t + seconds[k]) * table[k] + (t - seconds[k]) * table[k + 1] for table in tables)
+        assert law.notch is not None
+        w, zero, pole = law.notch
+        error = np.concatenate([-law.gains @ c[:4], [-2.0 * pole, -1.0], np.zeros(7)])
+        filtered = error + np.concatenate([np.zeros(6), [2.0 * zero, 1.0], np.zeros(7)])
+        delayed = late.D[0, 0] * filtered
+        delayed[10:14] += late.C[0]
+        m[:6, :6], m[:6, 8], m[:6, 14] = a, b[:, 0], b[:, 1] * wind_mps(t) / np.interp(t, seconds, speeds)
+        m[6], m[7, 6] = w * error, w
+        m[8, 9], m[9] = 1.0, 4900.0 * delayed
+        m[9, 8] -= 4900.0
+        m[9, 9] -= 98.0
+        m[10:14] = late.B * filtered
+        m[10:14, 10:14] += late.A
+    states = [np.concatenate([start, np.zeros(8), [1.0]])]
+    for step in expm(closed * (times[1] - times[0])):
+        states.append(step @ states[-1])
+    found = np.array(states)[:, :6]
+    wind = np.array([wind_mps(t) for t in times])
+    return times, np.column_stack([found, found[:, 2] + (found[:, 1] - wind) / np.interp(times, seconds, speeds)])

@@ -46,8 +46,8 @@ from maxq.tools.dev.pictures.tour import save_small
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGES, PARAMETERS, PICTURES = DOCS / "case-study", DOCS / "case-study.json", DOCS / "pictures" / "case-study"
 RUNS = Path("runs/case-study")
-DESIGNS = ("ksr3-default", "ksr3-free", "ksr3-linear", "ksr3-robust", "ksr3-sampled", "ksr3-two-phase")
 COMPARED = ("ksr3-two-phase", "ksr3-robust")
+FLOWN = ("ksr3-default", *COMPARED)
 ROBUST = (
     "ksr3-robust",
     "ksr3-robust-ascent",
@@ -69,6 +69,21 @@ ON_COMPLIANCE: dict[str, tuple[str, ...]] = {
     ),
 }
 ON_LOAD = 1000  # random vehicles
+MARGINS = ("gain, dB", "phase, deg", "least \\|1+L\\|")
+CORNERS, CORNER_SIGMAS = 40, Robust().corner_sigmas
+POINTS_S = (1.0, 22.0, 45.0, 65.0, 85.0)  # of the launcher with boosters: a fifth of the points that a case chooses
+BOOSTERS: dict[str, tuple[str, ...]] = {  # changes of the case that simvehicle writes
+    "two-phase": ("gains.schedule='two-phase'", "objective.kind='first-mode-peak'"),
+    "integrated": ("gains.schedule='linear'", "objective.kind='first-mode-peak'"),
+    "robust": ("gains.schedule='linear'", "objective.kind='least-margin'", "robust={}"),
+}
+BOOSTERS_FLOWN: dict[str, tuple[str, ...]] = {
+    "limit wind": ("wind.profile=vehicle/limit_wind.csv",),
+    "burn rates 1.02, 0.98": (
+        "vehicle.stage.0.booster.0.engine.mass_flow_factor=1.0212",
+        "vehicle.stage.0.booster.1.engine.mass_flow_factor=0.9788",
+    ),
+}
 TextRows = Sequence[Sequence[str]]
 
 
@@ -136,8 +151,8 @@ def peaks() -> list[str]:
     lines = []
     for plant, limits in itertools.product(("flown",), LIMITS):
         found, rows = orders(plant, limits), []
-        for k, f in enumerate(STRUCTURES):
-            first, second = (g[k] for g in gained(plant, limits))
+        for f in SHOWN:
+            first, second = (g[STRUCTURES.index(f)] for g in gained(plant, limits))
             agree = ", ".join(f"{o['near_best']}/{o['starts']}" for o in (found[f, s] for s in SCHEDULES))
             two, one, free = (_n(peak(found[f, s])) for s in SCHEDULES)
             rows.append((f, two, one, _n(first), free, _n(second), agree))
@@ -196,25 +211,6 @@ def between() -> list[str]:
     return table(head, rows)
 
 
-def parameters() -> list[str]:
-    """Return a table of the optima with identical limits: the gains at the first and last operating point, and the
-    filter.
-    """
-    rows = []
-    for (structure, schedule), o in orders("flown", "identical").items():
-        if structure not in SHOWN:
-            continue
-        ends = [f"{o['gains'][k][0]:.4f} to {o['gains'][k][-1]:.4f}" for k in ("k_p", "k_d_s")]
-        quadratic = "<br>".join(
-            f"{q['zero_hz']:.3f}, {q['zero_zeta']:.3f}; {q['pole_hz']:.3f}, {q['pole_zeta']:.3f}"
-            for q in o["filter"]["quadratic"]
-        )
-        first = "<br>".join(f"{q['zero_hz']:.3f}; {q['pole_hz']:.3f}" for q in o["filter"]["first_order"])
-        rows.append((f"{structure} {schedule}", *ends, quadratic, first))
-    sections = ("quadratic sections: zero Hz, zeta; pole Hz, zeta", "first order: zero; pole, Hz")
-    return table(("design", "k_p", "k_d, s", *sections), rows)
-
-
 def relaxing() -> list[str]:
     """Return a table of the gain of Subcase 1, with relaxed rigid-body limits, over the two-phase design without
     relaxation.
@@ -254,21 +250,27 @@ def limits() -> list[str]:
 
 
 def robust() -> list[str]:
-    """Return a table of the worst margins of the sampled loop: nominal, and at forty random corners of all ranges."""
-    nodes, rows = operating_points.nodes("nominal", range(5, 60, 5)), []
-    ranges = Ranges(_ranges(), Robust().corner_sigmas)
-    ends = np.random.default_rng(2002).choice([-1, 1], (40, len(deviations_of(ranges.campaign, nodes[0]).places)))
+    """Return the worst margins on the sampled loop: nominal, and at forty random corners of all ranges."""
+    nodes, ranges, rows = operating_points.nodes("nominal", range(5, 60, 5)), Ranges(_ranges(), CORNER_SIGMAS), []
     for name in ("ksr3-default", "ksr3-two-phase", "ksr3-linear", "ksr3-sampled", "ksr3-robust"):
         design = load_design(f"designs/{name}")
-        nominal = worst(nodes, design)
-        off = [worst([deviated(n, ranges, [int(e) for e in row]) for n in nodes], design) for row in ends]
-        stable = sum(not math.isnan(w[0]) for w in off)
-        least = [min(values) if stable == len(off) else math.nan for values in zip(*off, strict=True)]
-        shown = [f"{w:.{digits}f}" for w, digits in zip(nominal, (2, 1, 3), strict=True)]
-        at_corners = ["unstable" if math.isnan(w) else f"{w:.{d}f}" for w, d in zip(least, (2, 1, 3), strict=True)]
-        rows.append((name, *shown, f"{stable} of {len(off)}", *at_corners))
-    what = ("gain, dB", "phase, deg", "least \\|1+L\\|")
-    return table(("design", *what, "stable at corners", *(f"{w}, corners" for w in what)), rows)
+        stable, least = at_corners(nodes, design, ranges)
+        rows.append((name, *_three(worst(nodes, design)), f"{stable} of {CORNERS}", *_three(least)))
+    head = ("design", *MARGINS, "stable at corners", *(f"{w}, corners" for w in MARGINS))
+    return table(head, rows)
+
+
+def at_corners(nodes: Sequence[Node], design: Design, ranges: Ranges) -> tuple[int, tuple[float, float, float]]:
+    """Return the number of random corners at which the design is stable, and the least of `worst` (NaN: unstable)."""
+    ends = np.random.default_rng(2002).choice([-1, 1], (CORNERS, len(deviations_of(ranges.campaign, nodes[0]).places)))
+    off = [worst([deviated(n, ranges, [int(e) for e in row]) for n in nodes], design) for row in ends]
+    stable = sum(not math.isnan(w[0]) for w in off)
+    gain, phase, least = ((min(v) if stable == CORNERS else math.nan) for v in zip(*off, strict=True))
+    return stable, (gain, phase, least)
+
+
+def _three(margins: tuple[float, float, float]) -> list[str]:
+    return ["unstable" if math.isnan(w) else f"{w:.{digits}f}" for w, digits in zip(margins, (2, 1, 3), strict=True)]
 
 
 def vehicles() -> list[str]:
@@ -340,14 +342,11 @@ def tvc_load() -> list[str]:
         pitch, yaw = operating_points.nodes(loaded, times), operating_points.nodes(loaded, times, plane="yaw")
         plants.append((pitch, yaw, deviating))
     rows = []
-    for name in (*DESIGNS, "ksr3-robust-ascent", "ksr3-load-relief"):
+    for name in FLOWN:
         design, row = load_scenario("load-relief", (f"design='designs/{name}.toml'",)).design, [name]
         assert design is not None
         for pitch, yaw, deviating in plants:
             row += [f"{w:.{digits}f}" for w, digits in zip(worst([*pitch, *yaw], design), (2, 1, 3), strict=True)]
-            if design.law == "load-relief":  # with two sensors, a hundred times slower
-                row.append("-")
-                continue
             random = study(pitch, design, wanted, deviating, PartsOnDisk(None)).random
             row.append(str(int((~meet_limits(random, wanted.dispersed)).sum())))
         rows.append(row)
@@ -367,24 +366,108 @@ def worst(nodes: Sequence[Node], design: Design) -> tuple[float, float, float]:
     )
 
 
-def flights() -> list[str]:
-    """Return a table of the nominal ascent with each design, without wind and in a November jet."""
-    shown = {
-        "max_q_alpha_Padeg": ("q alpha, kPa deg", 1e-3, 1),
-        "max_attitude_error_deg": ("attitude error, deg", 1.0, 2),
-        "max_gimbal_deg": ("gimbal angle, deg", 1.0, 2),
-        "max_gimbal_rate_degps": ("gimbal rate, deg/s", 1.0, 2),
-        "max_slosh_deg": ("slosh angle, deg", 1.0, 2),
-        "max_bending_m": ("bending, mm", 1e3, 3),
-    }
+SHOWN_IN_FLIGHT = {
+    "max_q_alpha_Padeg": ("q alpha, kPa deg", 1e-3, 1),
+    "max_attitude_error_deg": ("attitude error, deg", 1.0, 2),
+    "max_gimbal_deg": ("gimbal angle, deg", 1.0, 2),
+    "max_gimbal_rate_degps": ("gimbal rate, deg/s", 1.0, 2),
+    "max_slosh_deg": ("slosh angle, deg", 1.0, 2),
+}
+
+
+def in_flight(scenario: str, flights: Mapping[tuple[str, str], Sequence[str]]) -> list[str]:
+    """Return the peak values of flights by design and conditions."""
     rows = []
-    for name, wind in itertools.product(DESIGNS, ("none", "November jet")):
-        profile = ["wind.profile=winds/anheung-november.csv"] if wind != "none" else []
-        flight = fly(load_scenario("nominal", [f'design="designs/{name}.toml"', *profile]), log=False)
-        cells = [f"{flight.metrics[m] * factor:.{digits}f}" for m, (_, factor, digits) in shown.items()]
+    for (name, where), changes in flights.items():
+        flight = fly(load_scenario(scenario, changes), log=False)
+        cells = [f"{flight.metrics[m] * factor:.{digits}f}" for m, (_, factor, digits) in SHOWN_IN_FLIGHT.items()]
         missed = [v.name for v in flight.verdicts if not v.met] + list(flight.failures)
-        rows.append((name, wind, *cells, ", ".join(missed) or "none"))
-    return table(("design", "wind", *(text for text, _, _ in shown.values()), "limits missed"), rows)
+        rows.append((name, where, *cells, ", ".join(missed) or "none"))
+    return table(("design", "flight", *(text for text, _, _ in SHOWN_IN_FLIGHT.values()), "limits missed"), rows)
+
+
+def flights() -> list[str]:
+    """Fly each design through the nominal ascent, without wind and through a November jet."""
+    winds = {"none": [], "November jet": ["wind.profile=winds/anheung-november.csv"]}
+    return in_flight(
+        "nominal",
+        {
+            (name, wind): [f'design="designs/{name}.toml"', *profile]
+            for name, (wind, profile) in itertools.product(FLOWN, winds.items())
+        },
+    )
+
+
+# A launcher with boosters
+def boosters_folder() -> Path:
+    """Return the folder of the launcher with boosters that `simvehicle` builds."""
+    folder = RUNS / "heron"
+    if not (folder / "case.toml").exists():
+        subprocess.run([Path(sys.executable).with_name("simvehicle"), "heron", "--out", folder], check=True)
+    return folder
+
+
+def boosters_designed() -> dict[str, Any]:
+    """Return design.json of each design of the first stage, with boosters, for five operating points."""
+    limits = (
+        "stages=[1]",
+        f"nodes_s={list(POINTS_S)}",
+        "between_nodes='ignore'",
+        "limits.gain_margin_db=6.0",
+        "limits.phase_margin_deg=30.0",
+        "limits.first_mode_phase_deg=30.0",
+        "limits.second_mode_db=-6.0",
+        "limits.modes_from_3_db=-6.0",
+        "limits.rigid_hz=0.28",
+        "reference.rigid_hz=0.28",
+        "reference.rigid_zeta=0.5",
+    )
+    case = str(boosters_folder() / "case.toml")
+    return {
+        name: kept(f"heron-{name}/design.json", "simdesign", case, "--no-pictures", *set_((*limits, *changes)))
+        for name, changes in BOOSTERS.items()
+    }
+
+
+def boosters_points(times_s: Sequence[float]) -> dict[str, tuple[Design, Sequence[Node]]]:
+    """Return each design with operating points of its own flight."""
+    boosters_designed()
+    out: dict[str, tuple[Design, Sequence[Node]]] = {}
+    for name in BOOSTERS:
+        loaded = load_scenario(str(boosters_folder() / "scenario.toml"), [f'design="{_of(name)}"'])
+        assert loaded.scenario.design is not None
+        out[name] = loaded.scenario.design, operating_points.nodes(loaded, times_s)
+    return out
+
+
+def _of(name: str) -> str:
+    return str((RUNS / f"heron-{name}" / "design.toml").resolve())
+
+
+def boosters() -> list[str]:
+    """Compare the peak of mode 1 and the margins: at the operating points, every 2 s, and at random corners."""
+    deviating = campaign_of(Robust(), load_scenario(str(boosters_folder() / "scenario.toml")))
+    between, rows = boosters_points(np.arange(2.0, 85.0, 2.0).tolist()), []
+    for name, (design, nodes) in boosters_points(POINTS_S).items():
+        peak_db = max(j.mode_peak_db(1, 1) for j in judge(nodes, design, "sampled"))
+        stable, least = at_corners(nodes, design, Ranges(deviating, CORNER_SIGMAS))
+        nominal = (*_three(worst(nodes, design)), *_three(worst(between[name][1], design)))
+        rows.append((name, f"{peak_db:.2f}", *nominal, f"{stable} of {CORNERS}", *_three(least)))
+    nominal = (*MARGINS, *(f"{what}, every 2 s" for what in MARGINS))
+    head = ("design", "mode 1, dB", *nominal, "stable at corners", *(f"{what}, corners" for what in MARGINS))
+    return table(head, rows)
+
+
+def boosters_flown() -> list[str]:
+    """Fly the designs until the boosters leave."""
+    boosters_designed()
+    return in_flight(
+        str(boosters_folder() / "scenario.toml"),
+        {
+            (name, where): [f'design="{_of(name)}"', "run.duration_s=85.5", *changes]
+            for name, (where, changes) in itertools.product(BOOSTERS, BOOSTERS_FLOWN.items())
+        },
+    )
 
 
 def campaigns() -> list[str]:
@@ -463,7 +546,6 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "peaks": peaks,
     "relaxing": relaxing,
     "between": between,
-    "parameters": parameters,
     "robust": robust,
     "vehicles": vehicles,
     "corners": corners,
@@ -471,6 +553,8 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "flights": flights,
     "campaigns": campaigns,
     "verdicts": verdicts,
+    "boosters": boosters,
+    "boosters-flown": boosters_flown,
 }
 
 

@@ -1,4 +1,4 @@
-"""Designs for Greensite's launcher at 72 s, by HM3 and by maxq: the table of docs/howto/derivatives.md.
+"""Designs for Greensite's launcher at 72 s, by two courses and by maxq: the table of docs/howto/derivatives.md.
 
 python -m maxq.tools.dev.greensite           write the table (a second)
 python -m maxq.tools.dev.greensite --search  also optimise the built-in case again (half a minute of CPU)
@@ -22,7 +22,11 @@ from maxq.tools.design import points
 from maxq.tools.dev.verification.section import DOCS, rewrite
 
 PAGE = DOCS / "howto" / "derivatives.md"
-DESIGNS = {"HM3 (published)": "greensite-hm3", "maxq, least load": "greensite"}
+DESIGNS = {
+    "HM3 (published)": "greensite-hm3",
+    "Zavoli (published)": "greensite-zavoli",
+    "maxq, least load": "greensite",
+}
 HEAD = (
     "| design | lower, upper gain margin, dB | phase margin, deg | least abs(1 + L) | mode 1, dB | q alpha, Pa deg | "
     "drift, m/s |\n|---|---|---|---|---|---|---|"
