@@ -24,6 +24,7 @@ from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
 from maxq.sim.vehicle.modes.tables import (
     OVER_MASS,
     ModeTable,
+    PointMass,
     SpatialModeTable,
     mode_table,
     over_time,
@@ -210,6 +211,15 @@ class Stage(Section):
         return tuple(b for b, body in enumerate(self.bodies) for _ in body.own_engines)
 
     @property
+    def engine_masses(self) -> tuple[PointMass, ...]:
+        """Return the gimballed masses of all engines."""
+        out = []
+        for b, e in zip(self.engine_bodies, self.engines, strict=True):
+            attachments_m = self.booster[b - 1].attachments_m if b > 0 else ()
+            out.append(PointMass(e.gimbal_station_m, attachments_m, e.gimballed_mass_kg, e.inertia_kgm2, e.arm_m))
+        return tuple(each for each in out if each.mass_kg > 0.0)
+
+    @property
     def tanks(self) -> tuple[tuple[int, str, Tank], ...]:
         """Return all tanks with the numbers of their bodies and their names: those of the core first."""
         own = [(0, tank.name or str(n + 1), tank) for n, tank in enumerate(self.tank)]
@@ -326,9 +336,20 @@ class Stage(Section):
         self._check_tvc_load()
         self._check_slosh_mass()
         self._check_stations()
+        self._check_spatial_modes()
         if self.loads is not None:
             gimbal_station_m = min((engine.gimbal_station_m for engine in self.engines), default=None)
             check_loads(self.loads, gimbal_station_m, names)
+
+    def _check_spatial_modes(self) -> None:
+        given = self.spatial_modes
+        if given is None or given.modes.mass_kg is None:
+            return
+        from maxq.sim.vehicle.modes.masses import misfit  # noqa: PLC0415  # lazy: it imports the compiler
+
+        found = misfit(given.modes, self.engine_masses, (2.0, 0.5))
+        if found:
+            raise given.table.refusal(found, "1 and 0: orthogonal modes", at=("spatial_modes", "table"))
 
     def _check_boosters(self) -> None:
         named = [booster.name for booster in self.booster]
