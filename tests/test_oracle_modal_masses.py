@@ -86,12 +86,17 @@ def test_roll_coupling_counts_the_engines_where_they_move(contains: str) -> None
         mass[k] += kg if contains == "engines at their gimbals" else 0.0
         engines.append(
             {
-                "table": [{"time_s": 0.0, "thrust_vacuum_N": 0.0}], "group": str(n), "offset_m": list(offset),
-                "gimbal_station_m": float(stations[k]), "exit_station_m": 15.0, "gimballed_mass_kg": kg,
-                "cg_from_gimbal_m": length, "inertia_about_gimbal_kgm2": kg * length**2 + inertia,
+                "table": [{"time_s": 0.0, "thrust_vacuum_N": 0.0}],
+                "group": str(n),
+                "offset_m": list(offset),
+                "gimbal_station_m": float(stations[k]),
+                "exit_station_m": 15.0,
+                "gimballed_mass_kg": kg,
+                "cg_from_gimbal_m": length,
+                "inertia_about_gimbal_kgm2": kg * length**2 + inertia,
                 "cant_deg": list(cant),
             }
-        )  # fmt: skip  # a table
+        )
     sets = [
         (w, MODAL_KG, 0.0, np.concatenate([a, b], axis=1)) for w, a, b in zip((3, 4, 6, 9), move, turn, strict=True)
     ]

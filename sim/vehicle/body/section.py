@@ -23,9 +23,7 @@ MASS_COLUMNS = Columns(
 )
 
 
-RATE_DAMPING_COLUMNS = Columns(
-    "time_s", sets=(("x_Nms", "y_Nms", "z_Nms"),), not_negative=("x_Nms", "y_Nms", "z_Nms"), begins_by=0.0
-)
+RATE_DAMPING_COLUMNS = Columns("time_s", sets=(("x_Nms", "y_Nms", "z_Nms"),), begins_by=0.0)
 
 
 _SYMMETRY = 1e-9
@@ -48,7 +46,7 @@ class Mass(Section):
     mass_flow_kgps: NotNegative | None = optional("mass expelled per second, kg/s (default 0)")
     burn_s: NotNegative | None = optional("duration of the mass flow, s")
     rate_damping: Annotated[CsvTable, RATE_DAMPING_COLUMNS] | None = optional(
-        "damping moment per body rate about x, y and z, N m s/rad, over the stage clock"
+        "damping moment per body rate about x, y and z, N m s/rad, over the stage clock; negative: it drives the rate"
     )
 
     def _check(self) -> None:
