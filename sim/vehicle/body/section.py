@@ -78,6 +78,12 @@ class Mass(Section):
         fine = np.unique(np.concatenate([times, *(np.linspace(a, b, 65) for a, b in pairwise(times))]))
         return fine, fit(times, mass[:, None], interpolation).at(fine)[:, 0]
 
+    def spent_s(self, ignition_s: float) -> float:
+        """Return the time of the tables from which on the mass does not decrease; 0 for a constant mass."""
+        times, rows = self.rows(ignition_s)
+        falls = np.flatnonzero(np.diff(rows[:, 0]) < 0.0)
+        return float(times[falls[-1] + 1]) if len(falls) else 0.0
+
     def rows(self, ignition_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return times (n,) and rows (n, 10): mass, CG station, y and z, and integrals Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""
         if self.table is not None:
