@@ -434,6 +434,11 @@ class Stage(Section):
     def _check_slosh_mass(self) -> None:
         """Check that sloshing masses and gimballed engines are parts of the mass of their bodies."""
         for b, body in enumerate(self.bodies):
+        for group, actuator in zip(self.engine_groups, self.actuators, strict=False):
+            if group not in self.tvc_loads and any(axis.stall_torque_Nm is not None for axis in actuator.axes):
+                at = ("actuator", self.actuator.index(actuator)) if isinstance(self.actuator, tuple) else ("actuator",)
+                problem = "without a TVC load the engine follows its actuator at any torque"
+                raise refuse(problem, "[stage.tvc_load]", (*at, "stall_torque_Nm"), value=actuator.stall_torque_Nm)
             self._check_slosh_mass_of(body, ("booster", b - 1) if b > 0 else ())
 
     def _check_slosh_mass_of(self, body: Stage | Booster, key: tuple[str | int, ...]) -> None:
