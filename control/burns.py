@@ -198,7 +198,7 @@ def watch_quantity(
     if missing <= 0.0:
         state.cut_off_s = time_s
     elif state.last_s > -1e300 and gained > 0.0:
-        left_s = missing / gained * (time_s - state.last_s)
+        left_s = missing / gained * (time_s - state.last_s) - burn.orbit.lead_s
         if left_s < 1.5 * sample_s:
-            state.cut_off_s = time_s + left_s
+            state.cut_off_s = time_s + max(left_s, 0.0)
     state.last, state.last_s = value, time_s

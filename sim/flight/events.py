@@ -101,7 +101,9 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
         restart(memory)
     advance_schedule(p, pool, memory)
     changed = 0
-    cut_off, burnout_ns = 0 < clock.cut_off_ns <= now, p.timeline.burnout_ns + clock.idle_ns
+    cut_off, burnout_ns = 0 < clock.cut_off_ns <= now - p.timeline.decay_ns, p.timeline.burnout_ns + clock.idle_ns
+    if p.timeline.decay_ns > 0 and clock.cut_off_ns == now:
+        clock.fresh = 1
     if held.burning == 0 and p.timeline.burn_start_ns <= now < burnout_ns and not cut_off:
         held.burning = 1
         changed = 1
@@ -283,6 +285,7 @@ def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> in
         timeline.release_ns,
         timeline.stop_ns,
     ):
+        clock.cut_off_ns + timeline.decay_ns if clock.cut_off_ns > 0 else NEVER,
         if now < instant < end:
             end = instant
     end = min(end, clock.next_break_ns)

@@ -41,6 +41,7 @@ class StageTimeline:
     burn_rate: float  # seconds of schedule per second of flight
     burnout_ns: int
     separation_ns: int  # NEVER on the last stage
+    decay_ns: int  # of the thrust after a cutoff by the guidance
     separation_impulse_Ns: float  # forward on the next stage
     separation_spring_J: float
     tip_off_radps: Annotated[Array, (3,)]  # added to the rates of the next stage

@@ -188,6 +188,7 @@ def _timeline(
         frozen_s=rate * (frozen_s or 0.0),
         burn_rate=rate,
         burnout_ns=burnout_ns,
+        decay_ns=to_ns(stage.cutoff_decay_s * stage.cutoff_decay_factor),
         separation_ns=NEVER if math.isinf(end_s) else stage_start_ns + round(NS_PER_S * end_s),
         release_ns=NEVER if release_s is None else to_ns(release_s),
         stop_ns=start_ns + to_ns(run.duration_s),

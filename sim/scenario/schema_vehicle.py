@@ -126,6 +126,10 @@ class Stage(Section):
         "end of this stage after burnout, s; if only boosters leave, after the burnout of the last of them"
     )
     separation: Separation | None = optional("springs, impulse and tip-off rates where this stage ends")
+    cutoff_decay_s: Seconds = optional(
+        "time in which thrust falls linearly to zero after a cutoff by the guidance, which allows for it, s", 0.0
+    )
+    cutoff_decay_factor: NotNegative = optional("multiplies that time, unknown to the guidance", 1.0)
     continues: bool = optional(
         "engines and tanks of the preceding stage remain, except those of boosters that leave: gimbal angles, liquid "
         "and modes keep their motion",
