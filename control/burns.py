@@ -5,7 +5,8 @@ a cutoff by a quantity is extrapolated from its last two samples. In a coast, th
 horizontal along the motion. Settling thrust begins `settling_s` before the ignition. A restart may be timed from the
 apogee of the Kepler orbit. The next burn continues in this direction until its own guidance steers.
 
-The caller supplies navigated position and velocity (`OrbitGuidanceState`), here the simulator's own.
+The caller supplies navigated position and velocity (`OrbitGuidanceState`), here the simulator's own with the errors of
+`sim/flight/navigation.py`.
 """
 
 from __future__ import annotations

@@ -434,15 +434,15 @@ class Stage(Section):
             if engine in moved and engine.group in self.tvc_loads and engine.inertia_about_gimbal_kgm2 == 0.0:
                 key = (*self.engine_key(n), "inertia_about_gimbal_kgm2")
                 raise refuse("an engine without inertia cannot swing on a TVC load", "a number > 0", key, value=0.0)
-
-    def _check_slosh_mass(self) -> None:
-        """Check that sloshing masses and gimballed engines are parts of the mass of their bodies."""
-        for b, body in enumerate(self.bodies):
         for group, actuator in zip(self.engine_groups, self.actuators, strict=False):
             if group not in self.tvc_loads and any(axis.stall_torque_Nm is not None for axis in actuator.axes):
                 at = ("actuator", self.actuator.index(actuator)) if isinstance(self.actuator, tuple) else ("actuator",)
                 problem = "without a TVC load the engine follows its actuator at any torque"
                 raise refuse(problem, "[stage.tvc_load]", (*at, "stall_torque_Nm"), value=actuator.stall_torque_Nm)
+
+    def _check_slosh_mass(self) -> None:
+        """Check that sloshing masses and gimballed engines are parts of the mass of their bodies."""
+        for b, body in enumerate(self.bodies):
             self._check_slosh_mass_of(body, ("booster", b - 1) if b > 0 else ())
 
     def _check_slosh_mass_of(self, body: Stage | Booster, key: tuple[str | int, ...]) -> None:
