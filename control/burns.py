@@ -5,8 +5,8 @@ of a cutoff by a quantity is extrapolated from its last two samples. In a coast,
 local horizontal along the motion. Settling thrust begins `settling_s` before the ignition. A restart may be timed from
 the apogee of the Kepler orbit. The next burn continues in the direction of the coast until its own guidance steers.
 
-The caller supplies the navigated position and velocity (`OrbitGuidanceState`); the simulator supplies its own, without
-error.
+The caller supplies navigated position and velocity (`OrbitGuidanceState`), here the simulator's own with the errors of
+`sim/flight/navigation.py`.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ def watch_quantity(
     if missing <= 0.0:
         state.cut_off_s = time_s
     elif state.last_s > -1e300 and gained > 0.0:
-        left_s = missing / gained * (time_s - state.last_s)
+        left_s = missing / gained * (time_s - state.last_s) - burn.orbit.lead_s
         if left_s < 1.5 * sample_s:
-            state.cut_off_s = time_s + left_s
+            state.cut_off_s = time_s + max(left_s, 0.0)
     state.last, state.last_s = value, time_s

@@ -59,7 +59,7 @@ class OrbitGuidance:
     - `semimajor_m`: semi-major axis of the orbit.
     - `cos_inclination`: cosine of the inclination; a magnitude above 1 selects the plane of flight at the start.
     - `exhaust_mps`: effective exhaust speed of the engine that is cut off.
-    - `mu_m3ps2`, `j2`, `j2_radius_m`: gravitational parameter, J2, and the radius to which J2 refers.
+    - `lead_s`: duration of full thrust with the impulse after the cutoff.
     """
 
     on: int = 0
@@ -74,6 +74,7 @@ class OrbitGuidance:
     mu_m3ps2: float = 1.0
     j2: float = 0.0
     j2_radius_m: float = 1.0
+    lead_s: float = 0.0
 
 
 @dataclass
@@ -344,6 +345,7 @@ def advance_orbit_guidance(g: OrbitGuidance, state: OrbitGuidanceState, time_s: 
         growth = a_mps2 * a_mps2 + power * a_mps2 / g.exhaust_mps
         left_s = wanted / power if power > 0.0 else 0.0
         left_s = wanted / (power + 0.5 * growth * left_s) if power > 0.0 else 0.0
+        left_s -= g.lead_s
         if left_s < 1.5 * sample_s:
             state.cut_off_s, state.phase = time_s + max(left_s, 0.0), CUT_OFF
     return 1 if state.phase >= STEERING else 0

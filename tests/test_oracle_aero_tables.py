@@ -344,7 +344,8 @@ def test_table_of_a_slope_is_the_slope() -> None:
     np.testing.assert_allclose(ours.derivative(ours.y), theirs.derivative(theirs.y), rtol=3e-6, atol=1e-9)
 
 
-def test_damping_with_the_mass_properties() -> None:
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["damps", "drives"])
+def test_damping_with_the_mass_properties(sign: float) -> None:
     rates = np.array([0.3, -0.2, 0.15])
     table_of = {"time_s": [0.0, 10.0], "x_Nms": [10.0, 30.0], "y_Nms": [100.0, 500.0], "z_Nms": [200.0, 0.0]}
 
@@ -353,6 +354,8 @@ def test_damping_with_the_mass_properties() -> None:
         made.y[10:13] = rates
         return made.derivative(made.y, 2.5)[10:13]
 
+    for axis in ("x_Nms", "y_Nms", "z_Nms"):
+        table_of[axis] = [sign * value for value in table_of[axis]]
     given, without = turning(rate_damping=table_of), turning()
     moment = np.array(PARTS.core_inertia) @ (given - without)
-    np.testing.assert_allclose(moment, -np.array([15.0, 200.0, 150.0]) * rates, rtol=1e-9)
+    np.testing.assert_allclose(moment, -sign * np.array([15.0, 200.0, 150.0]) * rates, rtol=1e-9)

@@ -485,3 +485,14 @@ def test_burn_rate_and_late_separation_of_boosters() -> None:
     for at, kg, newton in ((5.0, 5200.0, 398e3), (12.0, 4320.0, 110e3), (16.0, 3360.0, 110e3)):
         k = int(np.argmin(np.abs(t - at)))
         assert (mass[k], thrust[k]) == pytest.approx((kg, newton), rel=1e-9)
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "pchip"])
+def test_thrust_above_zero_ends_with_the_propellant(interpolation: str) -> None:
+    """A thrust of 110 kN from the first to the last second of the flow, and a coast: v = F / m' ln(m_0 / m_1)."""
+    steady = engine(110e3, 60.0, 11.0) | {"table": {"time_s": [0.0, 60.0], "thrust_vacuum_N": [110e3, 110e3]}}
+    tree = launcher(core({"interpolation": interpolation}, [], engine=steady), run={"duration_s": 70.0})
+    flight = fly(load(tree))
+    assert [(e.name, e.time_s) for e in flight.events if e.name == "burnout"] == [("burnout", 60.0)]
+    assert flight["mass_kg"][-1] == pytest.approx(1600.0, rel=1e-12)
+    assert flight["v_I_x_mps"][-1] == pytest.approx(110e3 / 40.0 * math.log(4000.0 / 1600.0), rel=1e-9)

@@ -60,6 +60,28 @@ CONSTANT: Tree = merged(
 del CONSTANT["mass"]["table"]
 
 
+ACCEL = THRUST_N / MASS_kg
+SPACE: Tree = merged(
+    TREE,
+    {
+        "earth": {"gravity": "none"},
+        "vehicle": {"stage": [CONSTANT]},
+        "run": {"duration_s": 60.0, "step_s": 0.002, "stop_at": []},
+    },
+)
+del SPACE["earth"]["uniform_mps2"]
+
+
+def in_space(speed_mps: float, more: Tree, **stage: object) -> Flight:
+    """A flight north without gravity from 100 m/s, with thrust along it, cut off at an inertial speed."""
+    changes: Tree = {
+        "initial": {"euler_deg": [0.0, 0.0, 0.0], "ned_mps": [100.0, 0.0, 0.0]},
+        "guidance": {"cutoff": {"inertial_speed_mps": speed_mps}},
+        "vehicle": {"stage": [CONSTANT | stage]},
+    }
+    return fly(load(merged(SPACE, changes | more)))
+
+
 def flown(changes: Tree) -> Flight:
     return fly(load(merged(TREE, changes)))
 
@@ -101,6 +123,20 @@ def test_inertial_speed_includes_the_rotation_and_apogee_is_where_the_flight_tur
     assert flight.outcome == "apogee"
     assert flight.metrics["cutoff_apogee_error_m"] < 0.5
     assert flight.metrics["max_altitude_m"] == pytest.approx(40e3, abs=2.0)
+
+
+@pytest.mark.parametrize("factor", [0.0, 1.0, 1.5])
+def test_thrust_decays_after_a_cutoff_that_allows_for_it(factor: float) -> None:
+    """The cutoff is 1 s before the speed is reached with full thrust: a decay of 2 s gives half of its impulse."""
+    flight = in_space(500.0, {}, cutoff_decay_s=2.0, cutoff_decay_factor=factor)
+    cutoff_s = 400.0 / ACCEL - 1.0
+    assert flight.event_s("burnout") == pytest.approx(cutoff_s + 2.0 * factor, abs=1e-8)
+    assert flight.metrics["cutoff_inertial_speed_mps"] == pytest.approx(500.0 + ACCEL * (factor - 1.0), abs=1e-6)
+    t, speed = flight.time_s("v_I_x_mps"), flight["v_I_x_mps"]
+    decays = 2.0 * factor
+    into = np.clip(t - cutoff_s, 0.0, max(decays, 1e-9))
+    wanted = 100.0 + ACCEL * (np.minimum(t, cutoff_s) + into - into**2 / (2.0 * max(decays, 1e-9)))
+    np.testing.assert_allclose(speed, wanted, atol=1e-6)
 
 
 def test_rail_exit_speed_of_constant_thrust() -> None:

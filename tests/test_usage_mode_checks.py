@@ -138,6 +138,18 @@ def test_masses_at_the_stations_must_fit() -> None:
     assert "are 1.21 to 1.22 of the generalised masses" in load(spatial(rows(), weight=1.2)).warnings[0]
 
 
+def test_a_warning_names_the_modes_that_are_not_orthogonal() -> None:
+    """Mode 3 with 0.4 of mode 1: their product is 0.4 and mode 3 has 1.16 times its mass, apart from lumping."""
+    tree = spatial(rows())
+    table = tree["vehicle"]["stage"][0]["spatial_modes"]["table"]
+    first = [row for row in table if row["mode"] == 1]
+    for row, other in zip([row for row in table if row["mode"] == 3], first, strict=True):
+        for key in ("phi_y", "phi_z", "theta_y_pm", "theta_z_pm"):
+            row[key] += 0.4 * other[key]
+    (warning,) = load(tree).warnings
+    assert "are 1.01 to 1.19 of the generalised masses, and up to 0.42 between modes (1 and 3 at 0 s)" in warning
+
+
 def halve(key: str, factor: float) -> Callable[[dict[str, float]], None]:
     def change(row: dict[str, float]) -> None:
         row[key] = factor * row[key]

@@ -18,6 +18,7 @@ from maxq.control.kernel.records import Array
 from maxq.sim.flight.faults import switch_faults
 from maxq.sim.flight.injection import GIMBAL_COMMAND, RATE_COMMAND, next_switch, replaced, total_signal
 from maxq.sim.flight.launch import RAIL_EXIT, lift_off, rail_surplus
+from maxq.sim.flight.navigation import advance_navigation
 from maxq.sim.flight.parameters import (
     APOGEE,
     BURNOUT,
@@ -101,7 +102,9 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
         restart(memory)
     advance_schedule(p, pool, memory)
     changed = 0
-    cut_off, burnout_ns = 0 < clock.cut_off_ns <= now, p.timeline.burnout_ns + clock.idle_ns
+    cut_off, burnout_ns = 0 < clock.cut_off_ns <= now - p.timeline.decay_ns, p.timeline.burnout_ns + clock.idle_ns
+    if p.timeline.decay_ns > 0 and clock.cut_off_ns == now:
+        clock.fresh = 1
     if held.burning == 0 and p.timeline.burn_start_ns <= now < burnout_ns and not cut_off:
         held.burning = 1
         changed = 1
@@ -191,10 +194,18 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
         memory.gimbal_replaces[gimbal] = replaced(p.injections, GIMBAL_COMMAND, gimbal + 1, now)
     if p.vehicle.sizes.sensors > 0:
         sample_sensors(p, memory, y)
+    navigation, held = memory.navigation, memory.held.on_pad + memory.held.on_rail
+    if p.navigation.on == 1:
+        measured, start_q_BI = memory.computer.attitude.measured, memory.truth.start_q_BI
+        advance_navigation(p.environment.earth, navigation, measured, start_q_BI, y, now, held)
     if p.computer.burns.count > 0:
         orbit = memory.computer.orbit
         vec.set_vector(orbit.position_m, 0, vec.vector_at(y, R_I))
         vec.set_vector(orbit.velocity_mps, 0, vec.vector_at(y, V_I))
+        if p.navigation.on == 1:
+            for axis in range(3):
+                orbit.position_m[axis] += navigation.position_m[axis]
+                orbit.velocity_mps[axis] += navigation.velocity_mps[axis]
         for component in range(4):
             orbit.start_q_BI[component] = memory.truth.start_q_BI[component]
     clock.samples += 1
@@ -277,6 +288,7 @@ def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> in
         clock.next_sample_ns,
         clock.command_due_ns,
         clock.cut_off_ns,
+        clock.cut_off_ns + timeline.decay_ns if clock.cut_off_ns > 0 else NEVER,
         clock.ignite_ns,
         clock.next_gust_ns,
         memory.faults.next_ns,

@@ -12,6 +12,7 @@ from maxq.sim.flight import events, step
 from maxq.sim.flight.launch import RAIL_EXIT, leave_rail, lift_off, start_launch
 from maxq.sim.flight.metric_table import N_METRICS
 from maxq.sim.flight.metrics import gather
+from maxq.sim.flight.navigation import start_navigation
 from maxq.sim.flight.parameters import APOGEE, DIVERGED, IMPACT, LIFTOFF, N_EVENTS, NEVER, Memory, Parameters
 from maxq.sim.flight.telemetry import Logged, fill_fast, fill_slow
 from maxq.sim.vehicle.block import Q_BI, counts
@@ -64,6 +65,8 @@ def begin(P: Records, pool: Array, state: Records, y: Array) -> None:
     start_computer(p.computer, pool, memory.computer, 1e-9 * clock.now_ns)
     for component in range(4):
         memory.truth.start_q_BI[component] = y[Q_BI + component]
+    if p.navigation.on == 1:
+        start_navigation(p.navigation, memory.navigation, memory.computer.attitude.measured, y, clock.now_ns)
     clock.next_sample_ns = clock.now_ns + p.computer.sample_ns
     start_stage(p, pool, memory)
 
@@ -76,7 +79,7 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
     clock.interval = find_interval(pool, p.vehicle.schedule, step.schedule_clock(p, memory.clock, now, 0.0))
     clock.fresh, clock.next_break_ns = 1, now
     memory.faults.next_ns = now if p.faults.count > 0 else NEVER
-    cut_off = 0 < clock.cut_off_ns <= now
+    cut_off = 0 < clock.cut_off_ns <= now - p.timeline.decay_ns
     burns = p.timeline.burn_start_ns <= now < p.timeline.burnout_ns + clock.idle_ns and not cut_off
     memory.held.burning = 1 if burns else 0
     if cut_off:  # cutoff in an earlier stage, of which a part has been dropped; the gimbals remain centred

@@ -12,6 +12,7 @@ from maxq.sim.flight.faults import FaultMemory, Faults
 from maxq.sim.flight.injection import Injections
 from maxq.sim.flight.launch import Launch, LaunchMemory
 from maxq.sim.flight.metric_table import N_METRICS
+from maxq.sim.flight.navigation import Navigation, NavigationMemory
 from maxq.sim.vehicle.derivative import Held, StageInputs, StageRecord
 from maxq.sim.vehicle.environment import Environment
 from maxq.sim.vehicle.loads.kernel import Loads, SectionLoads
@@ -40,8 +41,9 @@ class StageTimeline:
     frozen_s: float
     burn_rate: float  # seconds of schedule time per second of flight
     burnout_ns: int
-    separation_ns: int  # NEVER for the last stage
-    separation_impulse_Ns: float  # forward impulse on the next stage
+    decay_ns: int  # of the thrust after a cutoff by the guidance
+    separation_ns: int  # NEVER on the last stage
+    separation_impulse_Ns: float  # forward on the next stage
     separation_spring_J: float
     tip_off_radps: Annotated[Array, (3,)]  # added to the rates of the next stage
     continues: int  # 1: engines, liquid and modes keep their state from the previous stage; DROPS: those that remain
@@ -66,6 +68,7 @@ class Parameters:
     environment: Environment
     computer: Computer
     launch: Launch
+    navigation: Navigation
     injections: Injections
     faults: Faults
     timeline: StageTimeline
@@ -131,8 +134,8 @@ class Waves:
 class Truth:
     """The true attitude relative to that in the computer.
 
-    `start_q_BI`: attitude at the start, which the computer receives without error. `error_rad`: roll, and tilt about
-    body axes, from the commanded to the true attitude, at the last sample of the computer.
+    `start_q_BI`: attitude at the start, which the computer knows apart from its error of alignment. `error_rad`: roll,
+    and tilt about body axes, from the commanded to the true attitude, at the computer's last sample.
     """
 
     start_q_BI: Annotated[Array, (4,)]
@@ -162,6 +165,7 @@ class Memory:
     computer: ComputerState
     truth: Truth
     launch: LaunchMemory
+    navigation: NavigationMemory
     burnout: Burnout
     gusts: TurbulenceState
     history: GustHistory

@@ -192,7 +192,8 @@ def pack_burns(scenario: Scenario, stage: Stage, ignition_ns: int) -> Burns:
     if not any(guidance.ends) or ignition_ns >= NEVER:
         return Burns()
     starts = (Restart.model_construct(), *guidance.restart)
-    burns = [_burn(end, start, earth) for end, start in zip(guidance.ends, starts, strict=True)]
+    lead_s = 0.5 * stage.cutoff_decay_s
+    burns = [_burn(end, start, earth, lead_s) for end, start in zip(guidance.ends, starts, strict=True)]
     first = burns[0].orbit
     burns[0] = replace(burns[0], orbit=replace(first, start_s=max(ignition_ns / 1e9 + SETTLING_s, first.start_s)))
     thrusters = stage.roll_thrusters
@@ -206,13 +207,14 @@ def pack_burns(scenario: Scenario, stage: Stage, ignition_ns: int) -> Burns:
     )
 
 
-def _burn(end: OrbitTarget | Cutoff | None, start: Restart, earth: Earth) -> GuidedBurn:
+def _burn(end: OrbitTarget | Cutoff | None, start: Restart, earth: Earth, lead_s: float) -> GuidedBurn:
     """Return one burn: what it ends at, and its start after a coast."""
     orbit = OrbitGuidance(
         rate_limit_radps=math.radians(COAST_RATE_degps),
         mu_m3ps2=earth.mu_m3ps2,
         j2=earth.j2 if earth.gravity == J2 else 0.0,
         j2_radius_m=earth.gravity_radius_m,
+        lead_s=lead_s,
     )
     burn = GuidedBurn(
         orbit if not isinstance(end, OrbitTarget) else _orbit_guidance(end, orbit, earth),

@@ -22,7 +22,7 @@ from maxq.sim.packing.environment import pack_environment
 from maxq.sim.packing.faults import pack_faults
 from maxq.sim.packing.initial import initial_motion, thrust_exceeds_weight_s
 from maxq.sim.packing.integration import step_ns
-from maxq.sim.packing.launch import pack_launch
+from maxq.sim.packing.launch import pack_launch, pack_navigation
 from maxq.sim.packing.schedule import mass_at, stage_sizes, vehicle_schedule
 from maxq.sim.packing.separation import modal_transfer, part_at
 from maxq.sim.packing.vehicle import pack_vehicle
@@ -70,7 +70,7 @@ def pack_flight(scenario: Scenario) -> Packed:
     """Pack everything that the kernel needs; the scenario is not read again. All vehicles fly with the same kernels."""
     pool = Pool()
     environment, computers = pack_environment(scenario, pool), pack_computers(scenario, pool)
-    injections, faults = pack_injections(scenario, pool), pack_faults(scenario)
+    injections, faults, navigation = pack_injections(scenario, pool), pack_faults(scenario), pack_navigation(scenario)
     burns = stage_burns(scenario.vehicle.stage, scenario.fault, _liftoff_s(scenario))
     rows: list[Parameters] = []
     ignition_ns = 0
@@ -94,7 +94,7 @@ def pack_flight(scenario: Scenario) -> Packed:
         last = pack_burns(scenario, stage, ignition_ns) if guided else Burns()
         flies = replace(computers[n], allocation=pack_allocation(scenario, stage, burn, pool), burns=last)
         launch = pack_launch(scenario, stage)
-        rows.append(Parameters(vehicle, loads, environment, flies, launch, injections, faults, timeline))
+        rows.append(Parameters(vehicle, loads, environment, flies, launch, navigation, injections, faults, timeline))
     parameters = pack(rows)
     y = np.zeros(MAX_STATE)
     initial_motion(scenario, y)
@@ -188,6 +188,7 @@ def _timeline(
         frozen_s=rate * (frozen_s or 0.0),
         burn_rate=rate,
         burnout_ns=burnout_ns,
+        decay_ns=to_ns(stage.cutoff_decay_s * stage.cutoff_decay_factor),
         separation_ns=NEVER if math.isinf(end_s) else stage_start_ns + round(NS_PER_S * end_s),
         release_ns=NEVER if release_s is None else to_ns(release_s),
         stop_ns=start_ns + to_ns(run.duration_s),

@@ -1,4 +1,4 @@
-"""The rail and the tower of a scenario as a record."""
+"""The rail, the tower and the errors of navigation of a scenario as records."""
 
 from __future__ import annotations
 
@@ -8,10 +8,25 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, pack
 from maxq.sim.flight.launch import Launch
+from maxq.sim.flight.navigation import Navigation
 from maxq.sim.packing.environment import pack_earth
-from maxq.sim.packing.initial import site_axes
+from maxq.sim.packing.initial import earth_rotation, product, site_axes
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
+
+
+def pack_navigation(scenario: Scenario) -> Navigation:
+    """Return the errors of navigation at the start."""
+    given, earth = scenario.navigation, pack([pack_earth(scenario.earth)])[0]
+    if given is None:
+        return Navigation(0, np.zeros(3), np.zeros(3), np.zeros(3))
+    cos, sin = earth_rotation(earth, scenario.run.start_s)
+    to_inertial = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    axes = product(to_inertial, site_axes(scenario.initial, scenario.site, earth).T)
+    position_m, velocity_mps = (
+        product(axes, np.array(error)) for error in (given.position_error_m, given.velocity_error_mps)
+    )
+    return Navigation(1, position_m, velocity_mps, np.radians(given.alignment_error_deg))
 
 
 def pack_launch(scenario: Scenario, stage: Stage) -> Launch:

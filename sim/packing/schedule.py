@@ -22,6 +22,7 @@ from maxq.sim.vehicle.air.packing import surface_bodies, surface_stations
 from maxq.sim.vehicle.body.section import joined, squares
 from maxq.sim.vehicle.engine.burn import NOMINAL, Burn, burn_rate, table_time_s
 from maxq.sim.vehicle.engine.packing import Mount, cluster_of, engine_mounts, on_clock, swinging, thrust_curves
+from maxq.sim.vehicle.modes.masses import turning
 from maxq.sim.vehicle.modes.packing import Carried, Places, mode_values, spatial_values
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 from maxq.sim.vehicle.slosh.packing import Pendulum, pendulums
@@ -264,7 +265,9 @@ def _spatial_modes(stage: Stage, burn: Burn, sizes: Sizes, tanks: Sequence[Pendu
     assert given is not None
     table, n = given.modes, sizes.spatial_modes
     mass, _, inertia = np.split(stage.mass_over_time()[1][0], [1, 4])
-    values = spatial_values(table, _places(stage, burn, table, tanks), float(inertia[0] / mass[0]))
+    shares = turning(table, stage.engine_masses, float(inertia[0] / mass[0]))
+    rows = np.concatenate([spatial_values(table, _places(stage, burn, table, tanks)), shares], axis=1)
+    values = rows.reshape(len(table.time_s), -1)
     joined = fit(table.time_s, values, method)
     factors = np.ones((values.shape[1] // n, n))
     gyro, gimbal = (

@@ -17,7 +17,8 @@ from maxq.control.kernel.tables import Method, fit
 from maxq.sim.input.remembered import cached_by_identity
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.engine.burn import Burn, table_time_s
-from maxq.sim.vehicle.modes.packing import ModeShapes, gauss, products, solved, spatial_shapes
+from maxq.sim.vehicle.modes.masses import products, solved
+from maxq.sim.vehicle.modes.packing import ModeShapes, gauss, spatial_shapes
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 from maxq.sim.vehicle.state import Sizes
 

@@ -12,6 +12,9 @@ from maxq.sim.scenario.schema_booster import Booster
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.engine.burn import burn_rate, nominal_burnout_s, stage_spans, thrust_end_s
 
+_SAME_S = 1e-9
+"""Times closer than this are the same instant."""
+
 
 def check_stages(stages: Sequence[Stage], flight_end_s: float, thrust_must_end: bool) -> float:
     """Reject tables that end before the thrust of their stage, and return the end of the powered flight, s.
@@ -74,14 +77,20 @@ def _ends_too_early(table: CsvTable, problem: str, end_s: float, key: Path) -> P
 
 
 def _check_thrust_ends(stage: Stage, ends_s: float, key: Path) -> None:
-    """Reject a thrust table that does not end at zero if the stage flies on to `ends_s` on its clock."""
-    column = "thrust_vacuum_N"
+    """Reject a thrust table that does not end at zero if the stage flies on to `ends_s` on its clock.
+
+    Thrust may end with the propellant.
+    """
+    column, spent_s = "thrust_vacuum_N", stage.mass.spent_s(stage.ignition_s)
+    burns_out = abs(thrust_end_s(stage) - spent_s) < _SAME_S
     for n, table in enumerate(engine.table for engine in stage.own_engines):
         last = float(table["time_s"][-1]) / burn_rate(stage)
-        if len(table) > 1 and table[column][-1] > 0.0 and ends_s > last:
+        spent = burns_out and abs(table["time_s"][-1] - spent_s) < _SAME_S
+        if len(table) > 1 and table[column][-1] > 0.0 and ends_s > last and not spent:
             problem = f"thrust does not end at zero, and the flight goes on after {last:g} s"
             at = (*key, *stage.engine_key(n), "table")
-            raise table.refusal(problem, "0 in the last row", column, len(table) - 1, at=at)
+            allowed = f"0 in the last row, or the end of the mass flow ({spent_s:g} s) as the last time"
+            raise table.refusal(problem, allowed, column, len(table) - 1, at=at)
 
 
 def check_programme(table: CsvTable, start: float, end: float) -> None:

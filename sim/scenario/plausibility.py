@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.body.section import Reference
-from maxq.sim.vehicle.modes.tables import mode_warnings
+from maxq.sim.vehicle.modes.tables import ORTHOGONALITY, ModeTable, SpatialModeTable, mode_warnings
 from maxq.sim.vehicle.slosh.section import Tank
 
 Array = NDArray[np.float64]
@@ -53,8 +53,17 @@ def warnings(scenario: Scenario) -> tuple[str, ...]:
             if tank.radius_m is None and scenario.switches.slosh
         ]
         for key, table in stage.mode_tables():
-            said += [f"vehicle.stage.{n}.{key}: {warning}" for warning in mode_warnings(table)]
+            said += [f"vehicle.stage.{n}.{key}: {warning}" for warning in _of_modes(stage, table)]
     return tuple(said)
+
+
+def _of_modes(stage: Stage, table: ModeTable | SpatialModeTable) -> list[str]:
+    if not isinstance(table, SpatialModeTable):
+        return mode_warnings(table)
+    from maxq.sim.vehicle.modes.masses import misfit  # noqa: PLC0415  # lazy: it imports the compiler
+
+    found = misfit(table, stage.engine_masses, (1.0 + ORTHOGONALITY, ORTHOGONALITY))
+    return mode_warnings(table) + ([found] if found else [])
 
 
 def _reference(reference: Reference, tail_m: float) -> Iterator[Implausible]:

@@ -1,4 +1,4 @@
-"""The launch from a rail or next to a tower, and the ends of the burns of the last engine."""
+"""The launch from a rail or next to a tower, errors of navigation, and the ends of the burns of the last engine."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from maxq.sim.input.errors import refuse
-from maxq.sim.input.values import Angle, NotNegative, Positive, Seconds, Section, optional
+from maxq.sim.input.values import Angle, NotNegative, Positive, Seconds, Section, Triple, optional
 
 
 class OrbitTarget(Section):
@@ -83,6 +83,17 @@ class Rail(Section):
     length_m: Positive = Field(description="travel until the last button leaves, m")
     elevation_deg: Annotated[float, Field(gt=0.0, le=90.0)] = Field(description="above the horizontal, deg")
     azimuth_deg: Angle | None = optional("deg from north through east (default: site.azimuth_deg)")
+
+
+class NavigationSection(Section):
+    """The errors of the computer's navigation at the start, for guidance to orbit, cutoffs and attitude control."""
+
+    position_error_m: Triple = optional("north, east, down, m", (0.0, 0.0, 0.0))
+    velocity_error_mps: Triple = optional("north, east, down, m/s", (0.0, 0.0, 0.0))
+    alignment_error_deg: Triple = optional(
+        "of the computed attitude, a rotation about x, y, z of the body, deg; grows with the gyros' errors",
+        (0.0, 0.0, 0.0),
+    )
 
 
 class Tower(Section):

@@ -30,7 +30,7 @@ from maxq.sim.scenario.coverage import check_gains, check_programme, check_stage
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_environment import AtmosphereSection, EarthSection, Site, WindSection
 from maxq.sim.scenario.schema_fault import KINDS, Fault
-from maxq.sim.scenario.schema_launch import Cutoff, OrbitTarget, Rail, Restart, Tower
+from maxq.sim.scenario.schema_launch import Cutoff, NavigationSection, OrbitTarget, Rail, Restart, Tower
 from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
 from maxq.sim.vehicle.loads.section import SECTION_PREFIX, check_line_mass
 
@@ -337,6 +337,7 @@ class Scenario(Section):
     holddown: HoldDown = HoldDown()
     rail: Rail | None = optional("absent: no launch rail")
     tower: Tower | None = optional("absent: none")
+    navigation: NavigationSection | None = optional("absent: no errors but those of the gyros in the attitude")
     injection: tuple[Injection, ...] = optional("signals for tests", (), max_length=MAX_INJECTIONS)
     fault: tuple[Fault, ...] = optional(
         "parts that fail; of two faults of one part the later entry holds", (), max_length=MAX_FAULTS
@@ -444,6 +445,11 @@ class Scenario(Section):
         for key in ("rail", "tower"):
             if getattr(self, key) is not None and not self.held:
                 raise refuse("the flight begins in the air", "a vehicle that is held down", (key,), value={})
+        computer = self.vehicle.computer
+        if self.navigation is not None and computer is not None and computer.attitude != "quaternion":
+            if any(self.navigation.alignment_error_deg):
+                problem, allowed = "the computer has integrals of rates, no attitude", "attitude = 'quaternion'"
+                raise refuse(problem, allowed, ("navigation", "alignment_error_deg"))
         if self.rail is not None and given:
             raise refuse("the rail sets the attitude", "without this key", ("initial", given[0]))
         if self.tower is not None:

@@ -24,6 +24,7 @@ from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
 from maxq.sim.vehicle.modes.tables import (
     OVER_MASS,
     ModeTable,
+    PointMass,
     SpatialModeTable,
     mode_table,
     over_time,
@@ -125,6 +126,10 @@ class Stage(Section):
         "end of this stage after burnout, s; if only boosters leave, after the burnout of the last of them"
     )
     separation: Separation | None = optional("springs, impulse and tip-off rates where this stage ends")
+    cutoff_decay_s: Seconds = optional(
+        "time in which thrust falls linearly to zero after a cutoff by the guidance, which allows for it, s", 0.0
+    )
+    cutoff_decay_factor: NotNegative = optional("multiplies that time, unknown to the guidance", 1.0)
     continues: bool = optional(
         "engines and tanks of the preceding stage remain, except those of boosters that leave: gimbal angles, liquid "
         "and modes keep their motion",
@@ -208,6 +213,15 @@ class Stage(Section):
     def engine_bodies(self) -> tuple[int, ...]:
         """Return for each engine the number of its body in `bodies`."""
         return tuple(b for b, body in enumerate(self.bodies) for _ in body.own_engines)
+
+    @property
+    def engine_masses(self) -> tuple[PointMass, ...]:
+        """Return the gimballed masses of all engines."""
+        out = []
+        for b, e in zip(self.engine_bodies, self.engines, strict=True):
+            attachments_m = self.booster[b - 1].attachments_m if b > 0 else ()
+            out.append(PointMass(e.gimbal_station_m, attachments_m, e.gimballed_mass_kg, e.inertia_kgm2, e.arm_m))
+        return tuple(each for each in out if each.mass_kg > 0.0)
 
     @property
     def tanks(self) -> tuple[tuple[int, str, Tank], ...]:
@@ -326,9 +340,20 @@ class Stage(Section):
         self._check_tvc_load()
         self._check_slosh_mass()
         self._check_stations()
+        self._check_spatial_modes()
         if self.loads is not None:
             gimbal_station_m = min((engine.gimbal_station_m for engine in self.engines), default=None)
             check_loads(self.loads, gimbal_station_m, names)
+
+    def _check_spatial_modes(self) -> None:
+        given = self.spatial_modes
+        if given is None or given.modes.mass_kg is None:
+            return
+        from maxq.sim.vehicle.modes.masses import misfit  # noqa: PLC0415  # lazy: it imports the compiler
+
+        found = misfit(given.modes, self.engine_masses, (2.0, 0.5))
+        if found:
+            raise given.table.refusal(found, "1 and 0: orthogonal modes", at=("spatial_modes", "table"))
 
     def _check_boosters(self) -> None:
         named = [booster.name for booster in self.booster]
@@ -409,6 +434,11 @@ class Stage(Section):
             if engine in moved and engine.group in self.tvc_loads and engine.inertia_about_gimbal_kgm2 == 0.0:
                 key = (*self.engine_key(n), "inertia_about_gimbal_kgm2")
                 raise refuse("an engine without inertia cannot swing on a TVC load", "a number > 0", key, value=0.0)
+        for group, actuator in zip(self.engine_groups, self.actuators, strict=False):
+            if group not in self.tvc_loads and any(axis.stall_torque_Nm is not None for axis in actuator.axes):
+                at = ("actuator", self.actuator.index(actuator)) if isinstance(self.actuator, tuple) else ("actuator",)
+                problem = "without a TVC load the engine follows its actuator at any torque"
+                raise refuse(problem, "[stage.tvc_load]", (*at, "stall_torque_Nm"), value=actuator.stall_torque_Nm)
 
     def _check_slosh_mass(self) -> None:
         """Check that sloshing masses and gimballed engines are parts of the mass of their bodies."""

@@ -86,7 +86,7 @@ from maxq.sim.vehicle.modes.spatial import (
 from maxq.sim.vehicle.sensor.further import Sensor, sense
 from maxq.sim.vehicle.sensor.gyro import Gyro, gyro_derivative, sensed_rate
 from maxq.sim.vehicle.slosh.kernel import Slosh, exchange_loads, pendulum_derivative, pendulum_loads
-from maxq.sim.vehicle.tvc_load.kernel import TvcLoad, load_derivative, prepare_loads, swing_engines
+from maxq.sim.vehicle.tvc_load.kernel import TvcLoad, load_derivative, prepare_loads, resistance, swing_engines
 from maxq.sim.vehicle.workspace import Aux, Evaluation, Work
 from maxq.sim.world.earth import gravity_gradient_torque
 
@@ -374,13 +374,15 @@ def _derivative(
     rigid.kinematics(
         environment.earth, held.on_pad, rotation, rate, specific_force, alpha, gravitation, properties, y, dy
     )
-    actuator_rates(vehicle.actuator_pitch, held.faults, 0, y, states.ACTUATOR, held.command_rad[0], dy)
-    actuator_rates(
-        vehicle.actuator_yaw, held.faults, 1, y, states.ACTUATOR + states.N_ACTUATOR, held.command_rad[1], dy
-    )
+    load, e, system, at_yaw = vehicle.tvc_load, vehicle.engine, work.system, states.ACTUATOR + states.N_ACTUATOR
+    against = resistance(load, e, sizes, 0, system)
+    actuator_rates(vehicle.actuator_pitch, held.faults, 0, y, states.ACTUATOR, held.command_rad[0], against, dy)
+    against = resistance(load, e, sizes, 1, system)
+    actuator_rates(vehicle.actuator_yaw, held.faults, 1, y, at_yaw, held.command_rad[1], against, dy)
     for k in range(2 * sizes.further_groups):
         i = states.actuator_index(sizes, 1) + states.N_ACTUATOR * k
-        actuator_rates(vehicle.further_actuators[k], held.faults, 2 + k, y, i, held.command_rad[2 + k], dy)
+        against = resistance(load, e, sizes, 2 + k, system)
+        actuator_rates(vehicle.further_actuators[k], held.faults, 2 + k, y, i, held.command_rad[2 + k], against, dy)
     bend_y, bend_z = bending_rate_at_gyro(sizes, properties, modes.planar)
     local = (rate[0], rate[1] + bend_y, rate[2] + bend_z)
     if sizes.spatial_modes > 0:

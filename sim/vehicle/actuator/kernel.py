@@ -9,12 +9,13 @@ position command is limited upstream of the servo.
 
 The limits act on the servo or on the engine. If they act on the servo, H2 and H3 follow as linear sections, whose
 resonances may carry the engine past both limits (for example 36 deg/s with a limit of 30). If they act on the engine,
-H2 and H3 precede the servo, whose rate is that of the engine. Linear sections in series commute, so that both
-arrangements are equal below the limits.
-
-A play follows all sections: the engine rests until the actuator has crossed the play, and then moves at the actuator's
-rate. With a TVC load, the play is a gap of the load's spring instead. A hard stop limits the angle of the engine: the
-engine rests there, without rate and acceleration, as long as the sections would carry it further.
+H2 and H3 precede the servo, whose rate is that of the engine. Linear sections in series may be exchanged, so below the
+limits both are the same actuator. A play follows all sections: the engine rests until the actuator has crossed the
+play, and then takes on its rate. With a TVC load the play is a gap of the load's spring instead. A hard stop limits the
+engine's own angle: the engine rests there, without rate and acceleration, as long as the sections would carry it
+further. With a TVC load and a stall torque M_s, the rate limit v depends on the resisting torque M, like flow through a
+fully open valve. It is v sqrt(1 - M / M_s) against the torque, and v sqrt(1 + M / M_s) with it. A larger torque drives
+the actuator back at v sqrt(M / M_s - 1).
 
 States: servo position, servo rate; H2 position, rate; w_3^2-scaled states of H3 and its rate.
 """
@@ -67,7 +68,8 @@ class Actuator:
     ideal: int  # 1: the angle equals the command, at rest between commands
     order: int  # 2, 4 or 6
     limits_on_engine: int  # 1: the servo with its limits is the last section
-    stop_rad: float  # hard stop of the engine's angle
+    stop_rad: float  # hard stop of the engine's own angle
+    stall_torque_Nm: float = math.inf  # of one engine
 
 
 def pack_actuators(given: ActuatorSection | None, kind: str) -> tuple[Actuator, Actuator]:
@@ -112,6 +114,7 @@ def _pack_axis(given: ActuatorAxis, bias_deg: float, linear: bool) -> Actuator:
         order=ORDERS[given.model],
         limits_on_engine=int(given.limits_act_on == "engine"),
         stop_rad=math.inf if linear or given.stop_deg is None else math.radians(given.stop_deg),
+        stall_torque_Nm=math.inf if linear or given.stall_torque_Nm is None else given.stall_torque_Nm,
     )
 
 
@@ -127,7 +130,7 @@ def actuator_output(a: Actuator, y: Array, i: int, command: float, before: float
         angle, rate, accel = command, 0.0, 0.0
     elif a.limits_on_engine == 1 or a.order == 2:
         angle, rate = y[i], y[i + 1]
-        accel = _servo_acceleration(a, _servo_target(a, y, i, command), angle, rate)
+        accel = _servo_acceleration(a, _servo_target(a, y, i, command), angle, rate, 0.0)
     elif a.order == 4:
         angle, rate = y[i + 2], y[i + 3]
         accel = _section_acceleration(a.omega_2_radps, a.zeta_2, y[i], angle, rate)
@@ -176,24 +179,30 @@ def _servo_target(a: Actuator, y: Array, i: int, command: float) -> float:
 
 
 @kernel
-def _servo_acceleration(a: Actuator, target: float, angle: float, rate: float) -> float:
+def _servo_acceleration(a: Actuator, target: float, angle: float, rate: float, resistance: float) -> float:
+    """Return the acceleration of the servo that moves against `resistance`, a torque relative to the stall torque."""
     w1 = a.omega_1_radps
     damp_1 = 2.0 * a.zeta_1 * w1
     rate_command = w1 * w1 / damp_1 * (target - angle)
-    rate_command = min(max(rate_command, -a.rate_limit_radps), a.rate_limit_radps)
+    if resistance == 0.0:
+        rate_command = min(max(rate_command, -a.rate_limit_radps), a.rate_limit_radps)
+    else:  # flow through a fully open valve, see the module's text
+        lowest = -a.rate_limit_radps * math.copysign(math.sqrt(abs(1.0 + resistance)), 1.0 + resistance)
+        highest = a.rate_limit_radps * math.copysign(math.sqrt(abs(1.0 - resistance)), 1.0 - resistance)
+        rate_command = min(max(rate_command, lowest), highest)
     accel: float = damp_1 * (rate_command - rate)
     return accel
 
 
 @kernel
-def actuator_derivative(a: Actuator, y: Array, i: int, command: float, dy: Array) -> None:
-    """Write the time derivative of the states at y[i:i+6] for a constant command (rad)."""
+def actuator_derivative(a: Actuator, y: Array, i: int, command: float, resistance: float, dy: Array) -> None:
+    """Write the time derivative of the states at y[i:i+6] under a held command (rad)."""
     if a.ideal == 1:
         for j in range(6):
             dy[i + j] = 0.0
         return
     dy[i] = y[i + 1]
-    dy[i + 1] = _servo_acceleration(a, _servo_target(a, y, i, command), y[i], y[i + 1])
+    dy[i + 1] = _servo_acceleration(a, _servo_target(a, y, i, command), y[i], y[i + 1], resistance)
     into_second = command if a.limits_on_engine == 1 else y[i]
     for j in range(2, 6):
         dy[i + j] = 0.0
@@ -251,15 +260,17 @@ def actuator_motion(
 
 
 @kernel
-def actuator_rates(a: Actuator, faults: Array, channel: int, y: Array, i: int, command: float, dy: Array) -> None:
+def actuator_rates(
+    a: Actuator, faults: Array, channel: int, y: Array, i: int, command: float, resistance: float, dy: Array
+) -> None:
     """Write `actuator_derivative` with the faults of this actuator.
 
     A stuck servo keeps its position, and its rate state decays.
     """
     if faults[ANY_FAULT] == 0.0:
-        actuator_derivative(a, y, i, command, dy)
+        actuator_derivative(a, y, i, command, resistance, dy)
         return
-    actuator_derivative(a, y, i, _faulty_command(faults, channel, command), dy)
+    actuator_derivative(a, y, i, _faulty_command(faults, channel, command), resistance, dy)
     if faults[ACTUATOR_FAULT + channel] == STUCK:
         dy[i], dy[i + 1] = 0.0, -2.0 * a.zeta_1 * a.omega_1_radps * y[i + 1]
 

@@ -36,6 +36,10 @@ class ActuatorAxis(Section):
     )
     stop_deg: GimbalAngle | None = optional("hard stop of the gimbal angle, deg (default: none)")
     backlash_deg: NotNegative = optional("full width of the play between actuator and engine, deg", 0.0)
+    stall_torque_Nm: Positive | None = optional(
+        "torque of one engine about its gimbal that stops its actuator, N m; a larger one drives it back; needs a TVC "
+        "load (default: none)"
+    )
 
     def _check(self) -> None:
         count = SECTIONS[self.model]
@@ -57,6 +61,7 @@ class YawActuator(Section):
     rate_limit_degps: Positive | None = optional("limit of the gimbal rate, deg/s")
     stop_deg: GimbalAngle | None = optional("hard stop of the gimbal angle, deg")
     backlash_deg: NotNegative | None = optional("full width of the play between actuator and engine, deg")
+    stall_torque_Nm: Positive | None = optional("torque that stops the actuator, N m")
 
 
 class ActuatorSection(ActuatorAxis):

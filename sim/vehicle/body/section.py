@@ -23,9 +23,7 @@ MASS_COLUMNS = Columns(
 )
 
 
-RATE_DAMPING_COLUMNS = Columns(
-    "time_s", sets=(("x_Nms", "y_Nms", "z_Nms"),), not_negative=("x_Nms", "y_Nms", "z_Nms"), begins_by=0.0
-)
+RATE_DAMPING_COLUMNS = Columns("time_s", sets=(("x_Nms", "y_Nms", "z_Nms"),), begins_by=0.0)
 
 
 _SYMMETRY = 1e-9
@@ -48,7 +46,7 @@ class Mass(Section):
     mass_flow_kgps: NotNegative | None = optional("mass expelled per second, kg/s (default 0)")
     burn_s: NotNegative | None = optional("duration of the mass flow, s")
     rate_damping: Annotated[CsvTable, RATE_DAMPING_COLUMNS] | None = optional(
-        "damping moment per body rate about x, y and z, N m s/rad, over the stage clock"
+        "damping moment per body rate about x, y and z, N m s/rad, over the stage clock; negative: it drives the rate"
     )
 
     def _check(self) -> None:
@@ -79,6 +77,12 @@ class Mass(Section):
         times, mass = self.table["time_s"], self.table["mass_kg"]
         fine = np.unique(np.concatenate([times, *(np.linspace(a, b, 65) for a, b in pairwise(times))]))
         return fine, fit(times, mass[:, None], interpolation).at(fine)[:, 0]
+
+    def spent_s(self, ignition_s: float) -> float:
+        """Return the time of the tables from which on the mass does not decrease; 0 for a constant mass."""
+        times, rows = self.rows(ignition_s)
+        falls = np.flatnonzero(np.diff(rows[:, 0]) < 0.0)
+        return float(times[falls[-1] + 1]) if len(falls) else 0.0
 
     def rows(self, ignition_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return times (n,) and rows (n, 10): mass, CG station, y, z, and integrals Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""

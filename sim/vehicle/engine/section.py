@@ -73,6 +73,18 @@ class EngineSection(Section):
         warmer_K = self.propellant_temperature_K - self.reference_temperature_K
         return self.mass_flow_factor * math.exp(self.temperature_sensitivity_1pK * warmer_K)
 
+    @property
+    def inertia_kgm2(self) -> float:
+        """Return the inertia about the CG of the engine."""
+        return self.inertia_about_gimbal_kgm2 - self.gimballed_mass_kg * self.cg_from_gimbal_m**2
+
+    @property
+    def arm_m(self) -> tuple[float, float, float]:
+        """Return the vector from the body axis at the gimbal's station to the CG of the engine at rest, B."""
+        (sp, cp), (sy, cy) = ((math.sin(a), math.cos(a)) for a in map(math.radians, self.cant_deg))
+        length, (y, z) = self.cg_from_gimbal_m, self.offset_m
+        return -length * cp * cy, y + length * sy, z - length * sp * cy
+
     def _check(self) -> None:
         least = self.gimballed_mass_kg * self.cg_from_gimbal_m**2
         if self.inertia_about_gimbal_kgm2 < least:

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import fit, hermite
-from maxq.sim.input.errors import refuse
 from maxq.sim.vehicle.engine.packing import Mount
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 
@@ -177,7 +176,7 @@ def spatial_shapes(table: SpatialModeTable) -> Callable[[ArrayLike], Array]:
     return shapes
 
 
-def _spatial_on(
+def spatial_on(
     core: Callable[[ArrayLike], Array], attachments_m: tuple[float, ...], place_m: tuple[float, float]
 ) -> Callable[[ArrayLike], Array]:
     """Return the shapes of the core, or of a point at y and z of a booster that moves as `_Rigid`."""
@@ -199,83 +198,17 @@ def _spatial_on(
 
 
 @lru_cache(maxsize=16)
-def spatial_values(table: SpatialModeTable, at: Places, gyration_m2: float) -> Array:
-    """Return the schedule columns of the spatial modes over the table's times, (T, rows times M).
-
-    `gyration_m2`: roll inertia per mass, for tables without a distribution of the roll inertia.
-    """
+def spatial_values(table: SpatialModeTable, at: Places) -> Array:
+    """Return rows and lanes of the spatial modes over the table's times, (T, rows, M), without `masses.turning`."""
     shapes = spatial_shapes(table)
     columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # (times, modes) each
     columns += [*shapes(at.gyro_m)[0]]
-    for k, hinge in enumerate(at.hinges_m):  # the hinge position differs between times
-        on = _spatial_on(shapes, *at.carried.of(at.carried.tanks, k))
+    for k, hinge in enumerate(at.hinges_m):  # at each time the hinge of that time
+        on = spatial_on(shapes, *at.carried.of(at.carried.tanks, k))
         columns += [*np.diagonal(on(np.frombuffer(hinge)), axis1=0, axis2=2).transpose(0, 2, 1)]
-    places = [(_spatial_on(shapes, *at.carried.of(at.carried.surfaces, k)), x) for k, x in enumerate(at.surfaces_m)]
-    places += [(_spatial_on(shapes, mount.attachments_m, (0.0, 0.0)), mount.station_m) for mount in at.mounts]
+    places = [(spatial_on(shapes, *at.carried.of(at.carried.surfaces, k)), x) for k, x in enumerate(at.surfaces_m)]
+    places += [(spatial_on(shapes, mount.attachments_m, (0.0, 0.0)), mount.station_m) for mount in at.mounts]
     for on, station in (*places, *((shapes, x) for x in at.sensors_m)):
         columns += [*on(station)[0]]
     softening = sum(_softening(plane, ModeShapes(plane), at.mounts) for plane in table.lateral())
-    rows = [np.stack(columns, axis=1), np.transpose(softening, (0, 2, 1)), _turning(table, gyration_m2)]
-    return np.concatenate(rows, axis=1).reshape(len(table.time_s), -1)
-
-
-def _turning(table: SpatialModeTable, gyration_m2: float) -> Array:
-    """Return (T, M, M), entry [j, i]: the share A_ij of mode i in the shape of mode j rotated by 90 deg about x.
-
-    Method: least squares over the stations, weighted with their masses. The result is exact for any masses if the
-    rotated shapes are sums of modes. It is made antisymmetric with the generalised masses, as are the integrals of the
-    derivation (docs/model.md, 4.7).
-    """
-    masses, rolling = _lumped(table, gyration_m2)
-    x, y, z, about_x = (*np.moveaxis(table.displacement, -1, 0), table.rotation_pm[..., 0])
-    out = np.zeros((len(table.time_s), table.modes, table.modes))
-    for t, (mass, roll) in enumerate(zip(masses, rolling, strict=True)):
-        weight = np.concatenate([mass, mass, mass, roll])
-        shapes = np.concatenate([x[t], y[t], z[t], about_x[t]], axis=1)
-        turned = np.concatenate([0.0 * x[t], -z[t], y[t], 0.0 * x[t]], axis=1)
-        share, sums = solved(products(shapes, shapes, weight), products(shapes, turned, weight))  # (i, j)
-        if sums:
-            what = f"mode {sums[0] + 1} of time {t + 1} is a sum of the others, or rests"
-            raise refuse(what, "independent modes")
-        exchange = table.generalized_mass_kg[t][:, None] * share
-        out[t] = (0.5 * (exchange - exchange.T) / table.generalized_mass_kg[t][:, None]).T
-    return out
-
-
-def _lumped(table: SpatialModeTable, gyration_m2: float) -> tuple[Array, Array]:
-    """Return mass and roll inertia at the stations, (T, S), from the table or from the mass forward of the stations."""
-    mass = table.mass_kg
-    if mass is None:
-        between = np.maximum(np.diff(table.mass_forward_kg, axis=1), 0.0)
-        mass = 0.5 * (np.pad(between, ((0, 0), (1, 0))) + np.pad(between, ((0, 0), (0, 1))))
-        mass[mass.sum(axis=1) == 0.0] = 1.0  # the masses are unknown
-    return mass, gyration_m2 * mass if table.roll_inertia_kgm2 is None else table.roll_inertia_kgm2
-
-
-def products(a: Array, b: Array, weight: Array) -> Array:
-    """Return the weighted scalar products of the rows of `a` with those of `b`.
-
-    They use math.fsum for the reason given in `_softening_up_to`.
-    """
-    return np.array([[math.fsum(weight * p * q) for q in b] for p in a])
-
-
-def solved(matrix: Array, right: Array) -> tuple[Array, list[int]]:
-    """Solve a positive definite system by Gaussian elimination.
-
-    The result does not depend on the rounding of a linear-algebra library. The second result lists the redundant
-    unknowns, which are zero.
-    """
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
-    m, x = matrix * np.outer(scale, scale), right * scale[:, None]
-    sums = []
-    for k in range(len(m)):
-        if m[k, k] < 1e-10:
-            sums.append(k)
-            m[k], m[:, k], x[k], m[k, k] = 0.0, 0.0, 0.0, 1.0
-            continue
-        for i in range(len(m)):
-            if i != k:
-                factor = m[i, k] / m[k, k]
-                m[i], x[i] = m[i] - factor * m[k], x[i] - factor * x[k]
-    return x / np.diag(m)[:, None] * scale[:, None], sums
+    return np.concatenate([np.stack(columns, axis=1), np.transpose(softening, (0, 2, 1))], axis=1)

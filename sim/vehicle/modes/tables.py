@@ -10,7 +10,7 @@ does not include the engine's inertia.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,21 @@ MODE_COLUMNS = Columns(
     begins_by=0.0,
     repeats=True,
 )
+
+
+class PointMass(NamedTuple):
+    """A mass behind the gimbal of an engine.
+
+    - `attachments_m`: stations of the core that carry the booster of this engine, none for engines of the core.
+    - `arm_m`: from the body axis at the station of the gimbal to the CG of the engine at rest, B.
+    - `inertia_kgm2`: about that CG, taken as isotropic.
+    """
+
+    station_m: float
+    attachments_m: tuple[float, ...]
+    mass_kg: float
+    inertia_kgm2: float
+    arm_m: tuple[float, float, float]
 
 
 SPATIAL_SHAPES = ("phi_x", "phi_y", "phi_z", "theta_x_pm", "theta_y_pm", "theta_z_pm")
@@ -78,7 +93,7 @@ class ModeTable(_Modes):
     phi: Floats  # (T, M, S)
     slope_pm: Floats  # (T, M, S), d(phi)/d(x_n)
     mass_forward_kg: Floats  # (T, S)
-    products: ClassVar[None] = None  # the table contains no masses at the stations
+    mass_kg: ClassVar[None] = None  # no masses are given at the stations
 
     @property
     def moved(self) -> Floats:
@@ -119,19 +134,6 @@ class SpatialModeTable(_Modes):
     def bent(self) -> tuple[tuple[Floats, Floats], ...]:
         """Return the lateral displacement (T, M, S) of each plane, and its nominal derivative over the stations."""
         return tuple((plane.phi, plane.slope_pm) for plane in self.lateral())
-
-    @property
-    def products(self) -> Floats | None:
-        """Return the sum of mass times shape times shape, (T, M, M), or None without masses at the stations."""
-        if self.mass_kg is None:
-            return None
-        products = np.einsum("ts,tmsk,tnsk->tmn", self.mass_kg, self.displacement, self.displacement)
-        if self.roll_inertia_kgm2 is not None:
-            twist = self.rotation_pm[..., 0]
-            return np.asarray(products + np.einsum("ts,tms,tns->tmn", self.roll_inertia_kgm2, twist, twist))
-        unknown = twisting(self)  # modes that twist cannot be checked without the inertia
-        own = np.einsum("tm,mn->tmn", self.generalized_mass_kg, np.eye(self.modes))
-        return np.asarray(np.where(unknown[:, :, None] | unknown[:, None, :], own, products))
 
     def lateral(self) -> tuple[ModeTable, ModeTable]:
         """Return the motion of the modes along y and along z, as that of a yaw plane and of a pitch plane."""
@@ -279,16 +281,6 @@ def refuse_impossible(table: CsvTable, modes: ModeTable | SpatialModeTable, at: 
                 )
             if matrix[m, m] ** 2 > ASSURANCE and matrix[m, m] < 0.0:
                 raise table.refusal(f"mode {m + 1} changes its sign {span}", "shapes that change continuously", at=at)
-    products = modes.products
-    if products is not None:
-        own, across = _orthonormality(products, modes.generalized_mass_kg)
-        if (np.abs(np.log(own)) > np.log(2.0)).any() or (across > 0.5).any():
-            raise table.refusal(
-                f"with the masses at the stations the shapes' products are {own.min():.3g} to {own.max():.3g} of the "
-                f"generalised masses, and up to {across.max():.2f} between modes",
-                "1 and 0: orthogonal modes",
-                at=at,
-            )
 
 
 def mode_warnings(modes: ModeTable | SpatialModeTable) -> list[str]:
@@ -327,17 +319,11 @@ def _mass_warnings(modes: ModeTable | SpatialModeTable) -> list[str]:
     if not modes.mass_forward_kg.any():
         return [
             "mass_forward_kg is 0 everywhere: the axial load does not soften these modes"
-            + ("" if modes.products is not None else ", and their generalised masses and orthogonality are unchecked")
+            + ("" if modes.mass_kg is not None else ", and their generalised masses and orthogonality are unchecked")
         ]
-    products, given = modes.products, modes.generalized_mass_kg
-    if products is not None:
-        own, across = _orthonormality(products, given)
-        if max(np.abs(own - 1.0).max(), across.max()) > ORTHOGONALITY:
-            return [
-                f"with the masses at the stations the shapes' products are {own.min():.3g} to {own.max():.3g} of the "
-                f"generalised masses, and up to {across.max():.2f} between modes"
-            ]
-        return []
+    given = modes.generalized_mass_kg
+    if modes.mass_kg is not None:
+        return []  # see masses.py
     between = np.maximum(np.diff(modes.mass_forward_kg, axis=1), 0.0)
     if not between.any():
         return []
@@ -395,15 +381,3 @@ def _alike(modes: ModeTable | SpatialModeTable) -> Floats:
     moved = modes.moved
     unit = moved / np.maximum(np.sqrt((moved**2).sum(axis=2, keepdims=True)), 1e-300)
     return np.asarray((unit[:-1, :, None, :] * unit[1:, None, :, :]).sum(axis=-1))
-
-
-def _orthonormality(products: Floats, given: Floats) -> tuple[Floats, Floats]:
-    """Return the product of each mode with itself, and its largest product with another mode, (T, M) each.
-
-    The products are divided by the generalised masses.
-    """
-    root = np.sqrt(given)
-    scaled = products / (root[:, :, None] * root[:, None, :])
-    own = np.maximum(np.diagonal(scaled, axis1=1, axis2=2), 1e-300)
-    across = np.abs(scaled * (1.0 - np.eye(given.shape[1]))).max(axis=2)
-    return own, across

@@ -96,6 +96,8 @@ class TvcLoad:
     stop_yaw_rad: LoadNumbers
     play_pitch_rad: LoadNumbers  # full width of the gap between actuator and spring
     play_yaw_rad: LoadNumbers
+    stall_pitch_Nm: LoadNumbers  # torque that stops the actuator; inf: none does
+    stall_yaw_Nm: LoadNumbers
 
 
 @dataclass
@@ -116,7 +118,8 @@ class Swing:
     moment_Nm: Annotated[Array, (3,)]  # about the CG with deflected engines, including the moment through the modes, B
     accel_mps2: Annotated[Array, (3,)]  # of that CG
     alpha_radps2: Annotated[Array, (3,)]  # angular acceleration of the body
-    known_Nm: float  # moment about the hinge without the contribution of the unknown accelerations
+    known_Nm: float  # moment about the hinge without the accelerations sought
+    stall: float  # torque of the actuator on the engine, relative to its stall torque
     inertia_kgm2: float  # about the hinge
     planar_force_N: PerPlanarMode  # generalised forces on the modes, and the resulting accelerations
     planar_accel_mps2: PerPlanarMode
@@ -161,22 +164,50 @@ def hinge_moment(
 ) -> float:
     """Return the moment of spring, damper, bearing, friction and stop on an engine about its hinge, N m.
 
-    The states of the engine in this plane are y[i:i+3]. Within the play neither spring nor damper acts, and at its ends
-    they only push.
+    Its states are at y[i:i+3].
     """
     moment: float = -load.friction_Nm[k] * y[i + 2]
     if load.bearing_Nmprad[k] > 0.0:
         moment -= load.bearing_Nmprad[k] * y[i]
-    if floating == 0 and play == 0.0:
-        moment -= load.stiffness_Nmprad[k] * (y[i] - position) + load.damping_Nmsprad[k] * (y[i + 1] - rate)
-    elif floating == 0 and abs(y[i] - position) > 0.5 * play:
-        side = math.copysign(1.0, y[i] - position)
-        beyond = abs(y[i] - position) - 0.5 * play
-        push = load.stiffness_Nmprad[k] * beyond + load.damping_Nmsprad[k] * (y[i + 1] - rate) * side
-        moment -= side * max(push, 0.0)
+    if floating == 0:
+        moment -= link_moment(load, k, y, i, position, rate, play)
     if abs(y[i]) > stop:
         moment -= load.stop_stiffness_Nmprad[k] * (y[i] - math.copysign(stop, y[i]))
     return moment
+
+
+@kernel
+def link_moment(load: TvcLoad, k: int, y: Array, i: int, position: float, rate: float, play: float) -> float:
+    """Return the moment of spring and damper against the engine's deflection, N m.
+
+    Within the play neither acts, and at its ends they only push.
+    """
+    moment = 0.0
+    if play == 0.0:
+        moment = load.stiffness_Nmprad[k] * (y[i] - position) + load.damping_Nmsprad[k] * (y[i + 1] - rate)
+    elif abs(y[i] - position) > 0.5 * play:
+        side = math.copysign(1.0, y[i] - position)
+        beyond = abs(y[i] - position) - 0.5 * play
+        push = load.stiffness_Nmprad[k] * beyond + load.damping_Nmsprad[k] * (y[i + 1] - rate) * side
+        moment = side * max(push, 0.0)
+    return moment
+
+
+@kernel
+def resistance(load: TvcLoad, e: Engine, sizes: Counts, channel: int, system: System) -> float:
+    """Return the torque against which the actuators of a channel move their engines, relative to the stall torque.
+
+    `channel` is twice the group, plus one in yaw. Actuators of a group resist together.
+    """
+    torque_Nm = stall_Nm = 0.0
+    for n in range(sizes.tvc_loads):
+        if e.group[load.engine[n]] == channel // 2:
+            own = load.stall_pitch_Nm[n] if channel % 2 == 0 else load.stall_yaw_Nm[n]
+            if own == math.inf:
+                return 0.0
+            torque_Nm += own * record_at(system.swing, 2 * n + channel % 2).stall
+            stall_Nm += own
+    return torque_Nm / stall_Nm if stall_Nm > 0.0 else 0.0
 
 
 @routine
@@ -241,6 +272,9 @@ def prepare_loads(
                 along, lever, own, moment_Nm = (0.0, 0.0, 0.0), 1.0, 0.0, 0.0
             out.hinge_moment_Nm[unknown] = moment_Nm
             swing, turn = record_at(system.swing, unknown), cross(engine.axis, along)
+            stall_Nm, swing.stall = load.stall_pitch_Nm[n] if axis == 0 else load.stall_yaw_Nm[n], 0.0
+            if stall_Nm < math.inf and floating == 0 and moves != 0.0:
+                swing.stall = -link_moment(load, n, y, i + N_AXIS * axis, position, speed, play) / stall_Nm
             force = scaled(unbalance, along)
             moment = add(scaled(unbalance, cross(cg, along)), scaled(-inertia, turn))
             set_vector(swing.force_N, 0, force)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def _tvc_loads(stage: Stage, e: Engine, sizes: Sizes, actuators: Sequence[Actuator]) -> TvcLoad:
     """Return the record of the stage's section `tvc_load`.
 
-    Stops and play are those of the actuators, in pitch and yaw of each group.
+    Stops, play and stall torques are those of the actuators, pitch and yaw of each group.
     """
     out: dict[str, Any] = {f.name: np.zeros(MAX_TVC_LOADS) for f in fields(TvcLoad)}
     out["engine"] = np.zeros(MAX_TVC_LOADS, np.int64)
@@ -48,6 +48,8 @@ def _tvc_loads(stage: Stage, e: Engine, sizes: Sizes, actuators: Sequence[Actuat
             "stop_yaw_rad": actuators[2 * group + 1].stop_rad,
             "play_pitch_rad": actuators[2 * group].backlash_rad,
             "play_yaw_rad": actuators[2 * group + 1].backlash_rad,
+            "stall_pitch_Nm": count * actuators[2 * group].stall_torque_Nm,
+            "stall_yaw_Nm": count * actuators[2 * group + 1].stall_torque_Nm,
         }
         for name, value in values.items():
             out[name][n] = value
