@@ -24,7 +24,7 @@ DURATION_s = 0.6
 
 
 def engines(groups: int, stall_Nm: tuple[float, float] = STALL_Nm, **load: float) -> Rig:
-    """One engine, or two with half of its inertia and compliance, equal if of one group."""
+    """A single engine, or two engines with half of its inertia and compliance, equal if they are of one group."""
     tree = scenario_of(Parts(core_mass_kg=9e7, core_inertia=tuple(map(tuple, 1e11 * np.eye(3)))))
     stage: Tree = tree["vehicle"]["stage"][0]
     share = 1.0 / groups

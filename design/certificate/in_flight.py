@@ -56,8 +56,8 @@ class InFlightResponse:
     `frozen` is the sampled loop at that instant. `reason` is "" if both agree to 0.5 dB and 4 deg. Otherwise it is one
     of:
 
-    - "time variation": the loop's own change in the window is as large as the difference, or the loop that is advanced
-      along the ascent gives the measured response to 0.5 dB and 4 deg.
+    - "time variation": the loop's own change in the window is as large as the difference. Alternatively, the loop that
+      is advanced along the ascent gives the measured response to 0.5 dB and 4 deg.
     - "converter noise": this change and the standard errors together explain the difference, or the difference vanishes
       in flights with ideal converters.
     - "settling": an oscillation near a line has not decayed since liftoff.
