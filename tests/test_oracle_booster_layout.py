@@ -8,15 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from maxq import FlightRun
 from maxq.control.kernel.tables import table_in
 from maxq.sim.packing.flight import pack_flight
+from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import schedule as columns
+from maxq.sim.vehicle.loads.kernel import AXIAL
 from maxq.tools.vehicle.beam import ELEMENTS, Beam, RigidLoad
 from maxq.tools.vehicle.build import Built, build, burning
 from maxq.tools.vehicle.figures import stage_bodies
 from maxq.tools.vehicle.files import write
-from maxq.tools.vehicle.layout import read_layout
+from maxq.tools.vehicle.layout import LoadSections, read_layout
 from maxq.tools.vehicle.masses import Rod
 
 HERON = Path(__file__).parent.parent / "scenarios" / "layouts" / "heron.toml"
@@ -24,8 +27,10 @@ HERON = Path(__file__).parent.parent / "scenarios" / "layouts" / "heron.toml"
 
 @pytest.fixture(scope="module")
 def built() -> Built:
-    """The shipped layout on a gravity turn, which needs no search for an orbit."""
+    """The shipped layout with section loads of its core, on a gravity turn, which needs no search for an orbit."""
     layout = read_layout(HERON)
+    core = layout.stage[0].model_copy(update={"loads": LoadSections(stations_m=(16.0, 20.0, 30.0, 35.0))})
+    layout = layout.model_copy(update={"stage": (core, *layout.stage[1:])})
     turn = layout.trajectory.model_copy(update={"orbit_altitude_m": None, "final_path_angle_deg": 15.0})
     return build(layout.model_copy(update={"trajectory": turn}))
 
@@ -139,6 +144,25 @@ def test_files_fly_the_masses_and_thrusts_of_the_layout(built: Built, tmp_path: 
                 for k in range(int(sizes.engines))
             )
             assert thrust == pytest.approx(stack.thrusts_N(t, 0.0)[0], rel=1e-3, abs=1.0)
+
+
+@pytest.mark.slow
+def test_boosters_push_the_core_at_their_aft_attachment(built: Built, tmp_path: Path) -> None:
+    """Axial force in vacuum at 20 s: forward of 33 m the core hangs on the boosters too, behind it on its engine only.
+
+    The masses along the core, with boosters and without, agree with those of the stages, or loading would fail.
+    """
+    write(built, tmp_path)
+    changes = ["switches.section_loads=true", "atmosphere.model=vacuum", "run.stop_at=[]"]
+    run = FlightRun(load_scenario(tmp_path / "scenario.toml", changes), log=False)
+    run.fly_segment(20_000_000_000)
+    now, first = evaluate_at(run.packed, run.packed.state, 20.0), built.stacks[0]
+    accel, core = now.aux.specific_force_B_mps2[0], first.core_properties(20.0).mass_kg
+    behind_35 = 0.5 * 1100.0 + 1400.0
+    behind_30 = 900.0 * 4.0 / 6.5 + 1100.0 + 1400.0 + first.liquids(20.0)[1].mass_kg  # kerosene rests on 33.7 m
+    assert now.sections[3, AXIAL] == pytest.approx(behind_35 * accel - 950e3, rel=1e-3)
+    assert now.sections[2, AXIAL] == pytest.approx(-(core - behind_30) * accel, rel=1e-3)
+    assert now.sections[2, AXIAL] < 1.4 * now.sections[3, AXIAL] < 0.0
 
 
 @pytest.mark.slow

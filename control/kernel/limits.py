@@ -7,6 +7,7 @@ imports nothing, so that importing it is fast.
 MAX_STAGES = 8
 MAX_PENDULUMS = 8  # of a stage: slosh modes of all its tanks, and so the tanks as well
 MAX_ENGINES = 9  # of a stage
+MAX_BOOSTERS = MAX_ENGINES  # of a stage with section loads
 MAX_MODES = 12  # of a stage: in each plane, and of spatial modes
 MAX_SURFACES = 8  # lifting surfaces of a stage
 MAX_LOAD_STATIONS = 24  # stations of a stage at which section loads are evaluated

@@ -442,11 +442,17 @@ def engine_motion(
 def further_motion(e: Engine, of: Sizes, properties: Array, work: Work, aux: Aux) -> None:
     """Write the deflected engines beyond the first to `work`."""
     for k in range(1, of.engines):
-        pitch, yaw = aux.engines.channel[2 * e.group[k]], aux.engines.channel[2 * e.group[k] + 1]
-        if of.tvc_loads > 0 and e.swings[k] >= 0:
-            pitch, yaw = aux.tvc_loads.swing[2 * e.swings[k]], aux.tvc_loads.swing[2 * e.swings[k] + 1]
-        axis, axis_rate, axis_accel = engine_axis_motion(e, k, pitch, yaw)
-        put_deflected(work.engine[k], deflected_engine(e, k, axis, axis_rate, axis_accel, properties))
+        put_deflected(work.engine[k], moved_engine(e, of, k, properties, aux))
+
+
+@kernel
+def moved_engine(e: Engine, of: Sizes, k: int, properties: Array, aux: Aux) -> Deflected:
+    """Return engine k as its group, or its TVC load, moves it; after the derivative with the solved acceleration."""
+    pitch, yaw = aux.engines.channel[2 * e.group[k]], aux.engines.channel[2 * e.group[k] + 1]
+    if of.tvc_loads > 0 and e.swings[k] >= 0:
+        pitch, yaw = aux.tvc_loads.swing[2 * e.swings[k]], aux.tvc_loads.swing[2 * e.swings[k] + 1]
+    axis, axis_rate, axis_accel = engine_axis_motion(e, k, pitch, yaw)
+    return deflected_engine(e, k, axis, axis_rate, axis_accel, properties)
 
 
 @kernel

@@ -446,9 +446,6 @@ class Layout(Section):
             count = len(stage.booster)
             if n > 0 and count:
                 raise refuse("only the first stage has boosters", "none", ("stage", n, "booster"), value=count)
-            if stage.booster and stage.loads is not None:
-                problem = "section loads of a stage with boosters are not modelled"
-                raise refuse(problem, "a stage without", ("stage", n, "loads"), value={})
         if self.trajectory.orbit_altitude_m is not None and len(self.stage) == 1:
             raise refuse(
                 "a single stage does not steer to an orbit", "two stages or more", ("trajectory", "orbit_altitude_m")
