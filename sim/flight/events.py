@@ -109,7 +109,7 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
         burn_out(p, memory, y)
         changed = 1
     if held.on_pad == 1 and now >= p.timeline.release_ns:
-        lift_off(p.launch, memory.launch, held, y)
+        lift_off(p.launch, memory.launch, held, y, now)
         record_event(p, memory, LIFTOFF, now)
     if now >= memory.faults.next_ns:
         liftoff_ns = clock.event_ns[LIFTOFF]

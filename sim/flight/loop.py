@@ -280,7 +280,7 @@ def apply_event(p: Parameters, memory: Memory, y: Array, event: int) -> None:
         leave_rail(p.environment.earth, memory.launch, memory.held, y, memory.clock.now_ns)
         return
     if event == LIFTOFF:
-        lift_off(p.launch, memory.launch, memory.held, y)
+        lift_off(p.launch, memory.launch, memory.held, y, memory.clock.now_ns)
     if event == APOGEE:
         memory.clock.climbing = 0
     events.record_event(p, memory, event, memory.clock.now_ns)

@@ -104,6 +104,7 @@ def pack_flight(scenario: Scenario) -> Packed:
     memory = blank(Memory)
     memory["clock"]["now_ns"] = to_ns(scenario.run.start_s)
     memory["held"]["on_pad"] = int(scenario.held)
+    memory["held"]["clamped"] = int(scenario.held and scenario.holddown.clamped)
     widest = Sizes(*map(max, zip(*map(_counts, all_sizes), strict=True)))
     starts_ns = [row.timeline.stage_start_ns for row in rows]
     return Packed(parameters, pool.array(), memory, y, widest, tuple(_booster_burns(stages, burns, starts_ns)))

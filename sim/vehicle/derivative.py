@@ -39,6 +39,7 @@ from maxq.sim.vehicle.air.kernel import (
 )
 from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, are_usual, counts, rigid_counts, usual_counts
 from maxq.sim.vehicle.body import kernel as rigid
+from maxq.sim.vehicle.clamp import clamp_tail
 from maxq.sim.vehicle.engine.kernel import (
     Deflected,
     Engine,
@@ -122,6 +123,7 @@ class Held:
 
     on_pad: int  # 1: held down
     on_rail: int  # 1: guided by the launch rail
+    clamped: int  # 1: held at the tail alone, on the pad
     burning: int
     command_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # command to the actuators: pitch, yaw of each group
     engine_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # angles at the start of the step: the memory of a play
@@ -366,13 +368,27 @@ def _derivative(
             work.system,
             aux.tvc_loads,
         )
+    if held.clamped == 1:
+        force, moment = clamp_tail(
+            vehicle.sizes,
+            environment.earth,
+            vehicle.engine.gimbal_station_m[0],
+            rotation,
+            balanced.offset,
+            balanced.inverse_inertia,
+            pad,
+            force,
+            moment,
+            properties,
+            y,
+            work,
+        )
+    fixed = held.on_pad - held.clamped
     specific_force, alpha = accelerate(
-        sizes, held.on_pad + held.on_rail, balanced, force, moment, pad, properties, y, pendulums, work
+        sizes, fixed + held.on_rail, balanced, force, moment, pad, properties, y, pendulums, work
     )
 
-    rigid.kinematics(
-        environment.earth, held.on_pad, rotation, rate, specific_force, alpha, gravitation, properties, y, dy
-    )
+    rigid.kinematics(environment.earth, fixed, rotation, rate, specific_force, alpha, gravitation, properties, y, dy)
     actuator_rates(vehicle.actuator_pitch, held.faults, 0, y, states.ACTUATOR, held.command_rad[0], dy)
     actuator_rates(
         vehicle.actuator_yaw, held.faults, 1, y, states.ACTUATOR + states.N_ACTUATOR, held.command_rad[1], dy
