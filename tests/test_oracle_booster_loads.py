@@ -1,8 +1,8 @@
 """Section loads of a core with boosters against the sum of forces on every part forward of the cut.
 
 The oracle places particles along the rods of core and boosters, and the CG of each bob and engine. It takes the motion
-of the whole vehicle (specific force, angular acceleration, modal and pendulum accelerations) from the simulator, and
-computes from it the inertial force of each particle, the thrust and the force of the air. A booster that two stations
+of the whole vehicle (specific force, angular acceleration, modal and pendulum accelerations) from the simulator. From
+it follows the inertial force of each particle; thrust and the force of the air are added. A booster that two stations
 hold is in equilibrium with two forces; one that a station clamps, with a force and a couple.
 """
 
@@ -31,16 +31,30 @@ CORE_AT = (0.03, -0.05)  # y and z of the core's CG
 SURFACES = [(3.0, 1.5), (2.0, 10.5)]  # slope and station, on the core
 CORE_CA, HALF = 0.6, 0.5 * 1.2 * 0.8  # half density times area
 THRUST_N = {"core": 9.0e4, "left": 6.0e4, "right": 4.0e4}
+TANK_AT = (0.15, -0.1)  # from the axis of its booster
+# in kg and m; engine: mass, distance behind the gimbal, inertia; bob: mass, distance behind the hinge, hinge
 SIDES: dict[str, Tree] = {
     "left": {
-        "at": (-1.1, 0.4), "held": [10.0, 4.0], "rods": [(5.0, 9.0, 700.0), (9.0, 11.0, 300.0)], "gimbal": 11.0,
-        "engine": (80.0, 0.5, 6.0), "bob": (150.0, 0.6, 6.0), "CA": 0.2, "surface": (1.2, 5.5),
+        "at": (-1.1, 0.4),
+        "held": [10.0, 4.0],
+        "rods": [(5.0, 9.0, 700.0), (9.0, 11.0, 300.0)],
+        "gimbal": 11.0,
+        "engine": (80.0, 0.5, 6.0),
+        "bob": (150.0, 0.6, 6.0),
+        "CA": 0.2,
+        "surface": (1.2, 5.5),
     },
     "right": {
-        "at": (0.9, -0.6), "held": [9.0], "rods": [(4.0, 10.5, 850.0)], "gimbal": 10.5,
-        "engine": (0.0, 0.0, 0.0), "bob": None, "CA": 0.1, "surface": None,
+        "at": (0.9, -0.6),
+        "held": [9.0],
+        "rods": [(4.0, 10.5, 850.0)],
+        "gimbal": 10.5,
+        "engine": (0.0, 0.0, 0.0),
+        "bob": None,
+        "CA": 0.1,
+        "surface": None,
     },
-}  # fmt: skip  # a table: kg, m; engine and bob: mass, distance behind gimbal or hinge, inertia or hinge
+}
 GRID_M = np.linspace(0.0, 12.0, 13)
 
 
@@ -68,8 +82,17 @@ def section(points: list[tuple[float, Array]], extra_kgm2: float = 0.0, axis: tu
     mass, cg, inertia = composed(points, extra_kgm2)
     inertia = inertia + np.diag([1e-7, 0.0, 0.0])  # a rod without width has none
     return {
-        "mass_kg": mass, "x_cg_m": -cg[0], "y_cg_m": cg[1] - axis[0], "z_cg_m": cg[2] - axis[1], "inertia_kgm2": inertia
-    }  # fmt: skip  # one section
+        "mass_kg": mass,
+        "x_cg_m": -cg[0],
+        "y_cg_m": cg[1] - axis[0],
+        "z_cg_m": cg[2] - axis[1],
+        "inertia_kgm2": inertia,
+    }
+
+
+def in_tank(side: Tree) -> tuple[float, float]:
+    """y and z of the axis of a booster's tank."""
+    return side["at"][0] + TANK_AT[0], side["at"][1] + TANK_AT[1]
 
 
 def dry_points(side: Tree, shift: tuple[float, float]) -> list[tuple[float, Array]]:
@@ -92,15 +115,17 @@ def booster(name: str, shift: tuple[float, float]) -> Tree:
     }
     if kg:
         out["engine"] |= {
-            "gimballed_mass_kg": kg, "cg_from_gimbal_m": arm, "inertia_about_gimbal_kgm2": inertia + kg * arm * arm
-        }  # fmt: skip  # keys of the mass
+            "gimballed_mass_kg": kg,
+            "cg_from_gimbal_m": arm,
+            "inertia_about_gimbal_kgm2": inertia + kg * arm * arm,
+        }
     else:
         out["engine"] |= {"gimbal": "fixed"}
     if side["bob"] is not None:
         bob_kg, length, hinge = side["bob"]
-        points = [*points, (bob_kg, np.array([-(hinge + length), *side["at"]]))]
+        points = [*points, (bob_kg, np.array([-(hinge + length), *in_tank(side)]))]
         row = {"time_s": 0.0, "slosh_mass_kg": bob_kg, "pendulum_length_m": length, "hinge_station_m": hinge}
-        out["tank"] = [{"table": [row], "damping_ratio": 0.03}]
+        out["tank"] = [{"table": [row], "damping_ratio": 0.03, "position_m": TANK_AT}]
     out["mass"] = section(points, inertia, side["at"])
     aero: Tree = {"mach": [0.0], "CA": [side["CA"]]}
     if side["surface"] is not None:
@@ -152,7 +177,10 @@ def launcher(shift: tuple[float, float], bent: bool) -> Tree:
         "mass": section(core),
         "engine": {
             "table": [{"time_s": 0.0, "thrust_vacuum_N": THRUST_N["core"]}],
-            "gimbal_station_m": 12.0, "exit_station_m": 13.0, "gimbal": "fixed", "misalignment_deg": [0.5, 0.3],
+            "gimbal_station_m": 12.0,
+            "exit_station_m": 13.0,
+            "gimbal": "fixed",
+            "misalignment_deg": [0.5, 0.3],
         },
         "actuator": dict(ACTUATOR),
         "aero": {"table": {"mach": [0.0], "CA": [CORE_CA]}, "surface": surfaces},
@@ -162,17 +190,24 @@ def launcher(shift: tuple[float, float], bent: bool) -> Tree:
             "line_mass": line,
             "axial_force": {"station_m": [1.0, 9.0], "share": [0.7, 0.3]},
         },
-    }  # fmt: skip  # one stage
+    }
     if bent:
         stage["bending"] = {"damping_ratio": [0.01, 0.01]}
         for name, hz in (("pitch", 3.0), ("yaw", 3.3)):
             stage["bending"][name] = [
                 {
-                    "time_s": 0.0, "mode": k + 1, "frequency_hz": hz + 4.0 * k, "generalized_mass_kg": 1500.0,
-                    "station_m": at, "phi": float(shape(at)), "slope_pm": float(shape(at, 1)), "mass_forward_kg": 0.0,
+                    "time_s": 0.0,
+                    "mode": k + 1,
+                    "frequency_hz": hz + 4.0 * k,
+                    "generalized_mass_kg": 1500.0,
+                    "station_m": at,
+                    "phi": float(shape(at)),
+                    "slope_pm": float(shape(at, 1)),
+                    "mass_forward_kg": 0.0,
                 }
-                for k, shape in enumerate(shapes()) for at in GRID_M
-            ]  # fmt: skip  # one row
+                for k, shape in enumerate(shapes())
+                for at in GRID_M
+            ]
     sections = {
         "switches": {"section_loads": True, "actuator": "full", "local_incidence": False},
         "atmosphere": {"model": "constant", "density_kgpm3": 1.2, "pressure_Pa": 0.0},
@@ -266,7 +301,7 @@ def loads_on(side: Tree, name: str, w: Whole, now: Any, y: Array, made: Any, shi
         mass, length, hinge = side["bob"]
         k = int(layout.pendulum_index(made.sizes, 0))
         u, kappa, kappa_1 = y[k : k + 3], y[k + 3 : k + 6], now.rate[k + 3 : k + 6]
-        at, (moved, accel) = np.array([-hinge, *side["at"]]), w.bend(here(hinge))
+        at, (moved, accel) = np.array([-hinge, *in_tank(side)]), w.bend(here(hinge))
         hung = w.rigid(at) + accel + np.cross(w.alpha, moved) * np.array([1.0, 0.0, 0.0])
         bob = hung + length * (kappa_1 + np.cross(w.rate, kappa))
         forces.append((at + moved + length * u, -mass * bob))
@@ -323,7 +358,7 @@ def expected(w: Whole, now: Any, y: Array, made: Any, shift: tuple[float, float]
 def test_loads_are_the_sum_of_forces_on_every_part(bent: bool) -> None:
     """All rates without modes; with modes a roll rate only, as terms of modal displacement with q and r are omitted.
 
-    A booster's inertia in the modes is the mean of both planes, so that with modes its rods lie on its axis. Both
+    A booster's inertia in the modes is the mean of both planes, so that its rods are on its axis with modes. Both
     planes have the same shapes, because the quasi-velocities in roll neglect their difference.
     """
     shift = (0.0, 0.0) if bent else (0.02, -0.01)
@@ -357,9 +392,12 @@ def test_loads_follow_ignition_burnout_and_separation() -> None:
     line = [{"front_station_m": 0.0, "rear_station_m": 12.0, "mass_kg": 1600.0}]
     liquid = {"time_s": [0.0, 60.0], "mass_kg": [2400.0, 0.0], "front_station_m": [4.0, 4.0]}
     loads = {
-        "stations_m": [7.0, 10.5], "line_mass": line, "liquid": [{"table": liquid, "bottom_station_m": 6.0}],
-        "tolerance": 0.3, "coast": True,
-    }  # fmt: skip  # one section
+        "stations_m": [7.0, 10.5],
+        "line_mass": line,
+        "liquid": [{"table": liquid, "bottom_station_m": 6.0}],
+        "tolerance": 0.3,
+        "coast": True,
+    }
     pairs = [*PAIR, solid("upper", (-1.2, 0.0), 3.0), solid("lower", (1.2, 0.0), 3.0)]
     stages = core({"separation_after_burnout_s": 1.5}, pairs, loads=loads), core(AFTER, [], loads=loads)
     more = {"switches": {"section_loads": True}, "run": {"duration_s": 20.0, "step_s": 0.01}}

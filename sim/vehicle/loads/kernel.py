@@ -47,7 +47,7 @@ from maxq.sim.vehicle.body.kernel import coriolis_of_outflow, plus_point
 from maxq.sim.vehicle.derivative import StageInputs, StageRecord, gimbal_bend, moved_engine
 from maxq.sim.vehicle.modes.planar import of_plane
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, PITCH, TANK_HINGE, YAW, tank_column
-from maxq.sim.vehicle.slosh.kernel import bob_mass, pendulum_length
+from maxq.sim.vehicle.slosh.kernel import Slosh, bob_mass, pendulum_length
 from maxq.sim.vehicle.state import N_PENDULUM, pendulum_index
 from maxq.sim.vehicle.workspace import Evaluation, Work
 
@@ -608,7 +608,7 @@ def _join_boosters(
                 pull = _with_engine(loads, vehicle, sizes, n, turned, d, rate, alpha, at, work, pull)
         for tank in range(sizes.pendulums):
             if loads.tank_booster[tank] == b:
-                pull = _with_pendulum(loads, sizes, b, tank, turned, at, work, pull)
+                pull = _with_pendulum(vehicle.slosh, sizes, first_m, tank, turned, at, work, pull)
         force, moment, reach = pull.force, pull.moment, loads.second_m[b] - first_m
         second_y, second_z, couple_y, couple_z = 0.0, 0.0, moment[1], moment[2]
         if reach != 0.0:
@@ -669,13 +669,20 @@ def _with_engine(
 
 @kernel
 def _with_pendulum(
-    loads: Loads, sizes: Counts, b: int, tank: int, turned: tuple[float, float], at: Evaluation, work: Work, pull: Pull
+    slosh: Slosh,
+    sizes: Counts,
+    first_m: float,
+    tank: int,
+    turned: tuple[float, float],
+    at: Evaluation,
+    work: Work,
+    pull: Pull,
 ) -> Pull:
     """Return the load on a booster with that of a pendulum: the rod's tension at its hinge, the damper at the bob."""
     own, first = record_at(work.tank, tank), pendulum_index(sizes, 0) + N_PENDULUM * tank
     u, tension = vector_at(at.y, first), work.system.unknown[tank]
     length, hinge = pendulum_length(at.properties, tank), at.properties[tank_column(tank) + TANK_HINGE]
-    place = _on_booster(loads.held_m[b], (hinge, loads.axis_y_m[b], loads.axis_z_m[b]), turned)
+    place = _on_booster(first_m, (hinge, slosh.place_y_m[tank], slosh.place_z_m[tank]), turned)
     pull = _pulled(pull, place, scaled(tension, u))
     along = -bob_mass(at.properties, tank) * own.damping_mps2[0]
     return _pulled(pull, add(place, scaled(length, u)), (along, own.damper_force_N[1], own.damper_force_N[2]))
