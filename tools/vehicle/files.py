@@ -121,7 +121,7 @@ def _over_time(stack: Stack, columns: str, values: Iterable[tuple[float, ...]]) 
     return f"time_s,{columns}", _continued(stack, [(t, *row) for t, row in zip(_times_s(stack), values, strict=True)])
 
 
-_MASS = attrgetter("mass_kg", "x_cg_m", "roll_kgm2", "pitch_kgm2", "pitch_kgm2")
+_MASS = attrgetter("mass_kg", "x_cg_m", "roll_kgm2", "pitch_kgm2", "yaw_kgm2")
 _LIQUID = attrgetter("mass_kg", "front_station_m")
 
 
@@ -381,6 +381,7 @@ def _tank(t: LayoutTank, table: str) -> dict[str, Any]:
         "height_m": t.height_m,
         "dome_m": list(t.dome_m),
         "density_kgpm3": t.density_kgpm3,
+        **({"position_m": list(t.position_m)} if any(t.position_m) else {}),
     }
 
 

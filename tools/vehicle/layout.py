@@ -87,7 +87,7 @@ class Shell(Between):
 
 
 class LayoutTank(Section):
-    """An upright tank on the axis with the propellant in it."""
+    """An upright tank with the propellant in it."""
 
     name: values.ChannelPart = Field(description="name of the tank in logs")
     liquid_mass_kg: Positive = Field(description="propellant at liftoff, kg")
@@ -97,6 +97,9 @@ class LayoutTank(Section):
     height_m: Positive = Field(description="inside, domes included, m")
     dome_m: Pair = optional("heights of half-ellipsoidal domes, bottom and top, m; 0: flat", (0.0, 0.0))
     bottom_station_m: float = Field(description="aft end, m aft of the nose")
+    position_m: Pair = optional(
+        "its axis, y and z from that of the stage or booster, m; liquids off the axis balance each other", (0.0, 0.0)
+    )
     damping_ratio: Fraction = optional("damping ratio of the slosh mode; 0.01 to 0.03 with ring baffles", 0.01)
     roll_share: Fraction = optional("share of the liquid's solid-body roll inertia that turns with the walls", 0.0)
 
@@ -124,6 +127,16 @@ class Grain(Between):
     def _check(self) -> None:
         super()._check()
         self.only_with(("port_radius_m",), self.burns == "port", "burns = 'port'")
+
+
+def check_balance(tanks: tuple[LayoutTank, ...]) -> None:
+    """Check that the liquids off the axis balance each other, full and drained."""
+    for name in ("liquid_mass_kg", "residual_kg"):
+        first = [sum(getattr(t, name) * t.position_m[k] for t in tanks) for k in (0, 1)]
+        largest = max((getattr(t, name) * math.hypot(*t.position_m) for t in tanks), default=0.0)
+        if max(map(abs, first)) > 1e-6 * largest:
+            problem = f"{name} off the axis has the moments {first[0]:g} and {first[1]:g} kg m along y and z"
+            raise refuse(problem, "tanks that balance each other", ("tank",), value=len(tanks))
 
 
 def check_grains(grains: tuple[Grain, ...], radius_m: float) -> None:
@@ -264,6 +277,7 @@ class LayoutBooster(Between):
     def _check(self) -> None:
         super()._check()
         check_grains(self.grain, 0.5 * self.diameter_m)
+        check_balance(self.tank)
         if self.usable_kg <= 0.0:
             raise refuse("no propellant", "tanks with more than their residual, or a grain", ("tank",))
 
@@ -300,6 +314,7 @@ class LayoutStage(Between):
 
     def _check(self) -> None:
         check_grains(self.grain, 0.5 * self.diameter_m)
+        check_balance(self.tank)
         if self.usable_kg <= 0.0:
             raise refuse("no propellant", "tanks with more than their residual, or a grain", ("tank",))
         self.at_most_one("bending", "spatial_modes")

@@ -39,6 +39,7 @@ class Rod:
     rear_station_m: float
     roll_m2: float  # Ixx / m
     across_m2: float  # of the transverse inertia / m, in addition to L^2 / 12
+    place_m: tuple[float, float] = (0.0, 0.0)  # y and z of its axis
 
     @property
     def station_m(self) -> float:
@@ -58,7 +59,7 @@ def ring(mass_kg: float, front_m: float, rear_m: float, radius_m: float) -> Rod:
 
 @dataclass(frozen=True)
 class MassProperties:
-    """The mass properties about the CG in body axes.
+    """The mass properties about the CG in body axes, which is on the axis.
 
     The liquids are frozen laterally and do not rotate about the axis.
     """
@@ -67,6 +68,7 @@ class MassProperties:
     x_cg_m: float
     roll_kgm2: float
     pitch_kgm2: float
+    yaw_kgm2: float
 
 
 @dataclass(frozen=True)
@@ -324,15 +326,18 @@ class Stack:
         cg = sum(b.mass_kg * b.x_cg_m for b, _ in bodies) / mass
         roll = sum(b.roll_kgm2 + b.mass_kg * (y * y + z * z) for b, (y, z) in bodies)
         pitch = sum(b.pitch_kgm2 + b.mass_kg * ((b.x_cg_m - cg) ** 2 + z * z) for b, (_, z) in bodies)
-        return MassProperties(mass, cg, roll, pitch)
+        yaw = sum(b.yaw_kgm2 + b.mass_kg * ((b.x_cg_m - cg) ** 2 + y * y) for b, (y, _) in bodies)
+        return MassProperties(mass, cg, roll, pitch, yaw)
 
 
 def properties_of(rods: Sequence[Rod]) -> MassProperties:
-    """Return the mass properties of masses on one axis."""
+    """Return the mass properties of masses that balance each other about the axis."""
     mass = sum(r.mass_kg for r in rods)
     cg = sum(r.mass_kg * r.station_m for r in rods) / mass
-    pitch = sum(r.inertia_kgm2 + r.mass_kg * (r.station_m - cg) ** 2 for r in rods)
-    return MassProperties(mass, cg, sum(r.mass_kg * r.roll_m2 for r in rods), pitch)
+    across = sum(r.inertia_kgm2 + r.mass_kg * (r.station_m - cg) ** 2 for r in rods)
+    roll = sum(r.mass_kg * r.roll_m2 for r in rods)
+    along_y, along_z = (sum(r.mass_kg * r.place_m[k] ** 2 for r in rods) for k in (0, 1))
+    return MassProperties(mass, cg, roll + along_y + along_z, across + along_z, across + along_y)
 
 
 def _net_N(burn: ThrustCurve, e: LayoutThrust, t: float, pressure_Pa: float) -> float:
@@ -388,7 +393,8 @@ def _column(tank: LayoutTank, mass_kg: float) -> Rod:
     centroid = float(np.trapezoid(area * z, z)) / total if total > 0.0 else 0.0
     middle = tank.bottom_station_m - r * centroid
     half = r * min(centroid, depth - centroid)
-    return Rod(mass_kg, middle - max(half, 1e-4), middle + max(half, 1e-4), 0.5 * tank.roll_share * r * r, 0.25 * r * r)
+    ends, roll = (middle - max(half, 1e-4), middle + max(half, 1e-4)), 0.5 * tank.roll_share * r * r
+    return Rod(mass_kg, *ends, roll, 0.25 * r * r, tank.position_m)
 
 
 def stacks(layout: Layout) -> list[Stack]:
