@@ -182,7 +182,11 @@ def test_both_planes_swing_alike_on_the_clamp() -> None:
 
 
 def test_the_tail_stays_under_all_loads() -> None:
-    """Thrust on a misaligned engine, weight, wind and liquid on a turning Earth: the tail moves with the ground."""
+    """Thrust on a misaligned engine, weight, wind and liquid on a turning Earth: the tail moves with the ground.
+
+    The bob swings by 5 degrees. Its tension varies by 1.5 times their square, on a twentieth of the mass: 6 mm/s2, over
+    200 per second.
+    """
     stage = {
         "aero": wind_on([(5.0, 2.0), (3.0, 9.0)], CA=0.4),
         "engine": {"misalignment_deg": [1.5, -1.0]},
@@ -224,7 +228,7 @@ def test_the_tail_stays_under_all_loads() -> None:
         velocity = velocity + np.cross(rate, at) + np.array([0.0, phi @ nu[1], phi @ nu[0]])
         turning = rate + np.array([0.0, slope @ nu[0], -slope @ nu[1]])
         bent = max(bent, float(np.abs(slope @ y[i : i + count])), float(np.abs(slope @ y[j : j + count])))
-        assert np.abs(velocity).max() < 2e-5
+        assert np.abs(velocity).max() < 5e-5
         assert np.abs(turning).max() < 2e-5
     assert bent > 1e-4
     assert int(made.held.on_pad) == 1

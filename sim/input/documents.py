@@ -156,7 +156,9 @@ def append(base: TomlTable, more: TomlTable, at: KeyPath = ()) -> None:
         if not isinstance(value, TomlArray):
             raise shown.error(shown.within, "is no list", value=value, allowed="a list, or [[...]]")
         if not isinstance(below, TomlArray):
-            raise shown.error(shown.within, "the extended file has no list there", allowed=f"{'.'.join(path)} itself")
+            raise shown.error(
+                shown.within, "the extended file has no list there", allowed=f"{'.'.join(map(str, path))} itself"
+            )
         for k, item in enumerate(value):
             element = replace(source, within=(*shown.within, len(below)), shown_as=(*shown.shown_as, k))
             below.sources[len(below)] = element

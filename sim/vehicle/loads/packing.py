@@ -47,7 +47,7 @@ def pack_loads(
     places, shares = np.zeros(MAX_SURFACES), np.zeros(MAX_SURFACES)
     carried = _carried(stage, sizes)
     if given is None or not scenario.switches.section_loads:
-        none = {"boosters": 0, "booster_table": NO_TABLE, "booster_axial": NO_TABLE}
+        none: dict[str, Any] = {"boosters": 0, "booster_table": NO_TABLE, "booster_axial": NO_TABLE}
         return Loads(0, 1, 0, 1, NO_TABLE, 0.0, 1.0, stations, bottoms, 0, places, shares, **none, **carried)
     stations[: len(given.stations_m)] = given.stations_m
     tanks = stage.tank if sizes.pendulums > 0 else ()
@@ -65,7 +65,7 @@ def pack_loads(
     alike = bending is None or bending.pitch == bending.yaw
     yaw = pitch if alike else bending.yaw_modes if bending is not None and sizes.yaw_modes else None
     spatial = stage.spatial_modes.modes if stage.spatial_modes is not None and sizes.spatial_modes else None
-    tables = {"booster_table": NO_TABLE, "booster_axial": NO_TABLE}
+    tables: dict[str, Any] = {"booster_table": NO_TABLE, "booster_axial": NO_TABLE}
     if not stage.booster:
         columns = _table(given, tanks, pitch, yaw, spatial, stage.interpolation)
     else:
