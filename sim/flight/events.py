@@ -65,6 +65,8 @@ def burn_out(p: Parameters, memory: Memory, y: Array) -> None:
     burnout.time_ns = clock.now_ns
     vec.set_vector(burnout.r_I_m, 0, vec.vector_at(y, R_I))
     vec.set_vector(burnout.v_I_mps, 0, vec.vector_at(y, V_I))
+    if clock.cut_off_ns == 0 and p.computer.burns.count > 0:
+        memory.computer.burns.depleted = 1
     if clock.cut_off_ns > 0 and memory.computer.burns.number + 1 < p.computer.burns.count:
         return
     clock.event_ns[BURNOUT] = -1  # the last stage's burnout counts
@@ -85,7 +87,7 @@ def restart(memory: Memory) -> None:
     clock.cut_off_ns, clock.ignite_ns = 0, 0
     clock.stage_burnout_ns[clock.stage] = -1
     clock.fresh, clock.next_break_ns = 1, clock.now_ns
-    memory.held.burning = 1
+    memory.held.burning, memory.held.settling_N, clock.pending_settling_N = 1, 0.0, 0.0
 
 
 @routine

@@ -55,7 +55,7 @@ def gather(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: Evalua
     thrust_N = aux.engines.axial_thrust_N
     thrust_g = thrust_N / props[TOTAL_MASS] / STANDARD_GRAVITY_MPS2
     raise_to(extremes, METRIC.max_thrust_over_weight_g, thrust_g, now_ns)
-    sensed = (aux.aero_force_B_N[0] + thrust_N) / props[TOTAL_MASS]
+    sensed = (aux.aero_force_B_N[0] + thrust_N + memory.held.settling_N) / props[TOTAL_MASS]
     raise_to(extremes, METRIC.max_axial_load_g, abs(sensed) / STANDARD_GRAVITY_MPS2, now_ns)
     _gather_bending(extremes, p.vehicle.sizes, now_ns, aux)
     if p.launch.tower_m > 0.0 and memory.launch.clear == 0:

@@ -202,7 +202,7 @@ class Run(Section):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("seed of all noise", 1)
     start_s: Seconds = optional("vehicle clock at the start, s, whole ns", 0.0)
     freeze_vehicle_at_s: Seconds | None = optional(
-        "vehicle clock at which mass, thrust, modes and the like are frozen, s (default: not)"
+        "vehicle clock at which mass, thrust, modes and the like are frozen, without cutoff, s (default: not)"
     )
     stop_at: tuple[Ending, ...] = optional("events that end the flight; burnout: that of the last stage", ("impact",))
 
