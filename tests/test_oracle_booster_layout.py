@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from maxq import FlightRun
+import maxq
+from maxq import FlightRun, ScenarioError
 from maxq.control.kernel.tables import table_in
+from maxq.design import operating_points
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import schedule as columns
 from maxq.sim.vehicle.loads.kernel import AXIAL
 from maxq.tools.vehicle.beam import ELEMENTS, Beam, RigidLoad
-from maxq.tools.vehicle.build import Built, build, burning
+from maxq.tools.vehicle.build import Built, build, burning, m_delta_1ps2
 from maxq.tools.vehicle.figures import stage_bodies
 from maxq.tools.vehicle.files import write
-from maxq.tools.vehicle.layout import LoadSections, read_layout
+from maxq.tools.vehicle.layout import LayoutNozzles, LoadSections, read_layout
 from maxq.tools.vehicle.masses import Rod
 
 HERON = Path(__file__).parent.parent / "scenarios" / "layouts" / "heron.toml"
@@ -187,3 +190,41 @@ def test_first_gains_are_below_bending_and_slosh(built: Built, tmp_path: Path) -
     assert section.zero_hz == pytest.approx(np.mean([m[0].frequency_hz for m in built.modes[upper[0]][1]]))
     assert section.pole_hz == pytest.approx(0.15 * section.zero_hz)
     assert [s.pole_hz / s.zero_hz for s in design.of_stage(0).filter.quadratic] == pytest.approx([0.8, 0.8])
+
+
+@pytest.mark.slow
+def test_gimballed_boosters_steer_with_the_core(tmp_path: Path) -> None:
+    """The angular acceleration per command is that of the flown vehicle at 20 s; each group has its own actuator."""
+    layout = read_layout(HERON)
+    (booster,) = layout.stage[0].booster
+    given = booster.engine.model_dump(exclude_unset=True) | {"gimbal": "both", "angle_limit_deg": 5.0}
+    moving = booster.model_copy(update={"engine": LayoutNozzles(**given)})
+    core = layout.stage[0].model_copy(update={"booster": (moving,)})
+    turn = layout.trajectory.model_copy(update={"orbit_altitude_m": None, "final_path_angle_deg": 15.0})
+    built = build(layout.model_copy(update={"stage": (core, *layout.stage[1:]), "trajectory": turn}))
+    write(built, tmp_path)
+    loaded = load_scenario(tmp_path / "scenario.toml")
+    both, alone = loaded.vehicle.stage[:2]
+    assert both.engine_groups == ("", "solid1", "solid2")
+    assert [a.angle_limit_deg for a in both.actuators] == [8.0, 5.0, 5.0]
+    assert [a.angle_limit_deg for a in alone.actuators] == [8.0]
+    (node,) = operating_points.nodes(loaded, [20.0])
+    k = int(np.argmin([abs(p.time_s - 20.0) for p in built.flight.points]))
+    point = built.flight.points[k]
+    assert m_delta_1ps2(built, point) == pytest.approx(abs(node.derivatives.m_delta_1ps2), rel=0.03)
+    first = built.stacks[0]
+    thrusts = first.thrusts_N(20.0, 0.0)
+    cg_m = first.mass_properties(20.0).x_cg_m
+    assert thrusts[1] == pytest.approx(950e3 + (thrusts[0] - 950e3) * (35.5 - cg_m) / (36.0 - cg_m), rel=1e-9)
+    text = tomllib.loads((tmp_path / "campaign.toml").read_text(encoding="utf-8"))
+    assert maxq.load(tmp_path / "campaign.toml").campaign.runs == 100
+    keys = {key for deviation in text["disperse"] for key in deviation.get("keys", ())}
+    assert {f"vehicle.stage.0.actuator.{k}.omega_hz.0" for k in (0, 1, 2)} <= keys
+    assert "vehicle.stage.1.actuator.0.omega_hz.0" in keys
+
+
+def test_keys_of_a_gimbal_without_one_are_refused(tmp_path: Path) -> None:
+    text = HERON.read_text(encoding="utf-8").replace("tail_off_s = 4.0", "tail_off_s = 4.0\nangle_limit_deg = 5.0")
+    (tmp_path / "heron.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"angle_limit_deg = 5\.0: has no meaning here"):
+        read_layout(tmp_path / "heron.toml")

@@ -226,6 +226,21 @@ class LayoutEngines(LayoutThrust):
         return tuple(names[int(np.sign(at[across])) + 1] for at in self.positions_m)
 
 
+class LayoutNozzles(LayoutEngines):
+    """The engines of a booster, all equal."""
+
+    gimbal: Literal["both", "fixed"] = optional("both: the engines of each booster move together", "fixed")
+
+    def _check(self) -> None:
+        super()._check()
+        moving = [name for name in LayoutEngines.model_fields if name not in LayoutThrust.model_fields]
+        for name in moving:
+            if self.gimbal == "fixed" and name in self.model_fields_set:
+                raise refuse("has no meaning here", "this key with gimbal = 'both' only", name)
+        if self.tvc_load is not None:
+            raise refuse("boosters follow their actuators", "none", "tvc_load", value={})
+
+
 class LayoutFins(Section):
     """A set of fins with trapezoidal planform."""
 
@@ -238,7 +253,7 @@ class LayoutFins(Section):
 
 
 class LayoutBooster(Between):
-    """Equal boosters attached to the core of a stage, rigid bodies with fixed nozzles."""
+    """Equal boosters attached to the core of a stage, rigid bodies."""
 
     name: values.ChannelPart = Field(description="name of the booster; several have a number behind it")
     positions_m: tuple[Pair, ...] = Field(min_length=1, description="axis of each, y and z from the body axis, m")
@@ -253,7 +268,7 @@ class LayoutBooster(Between):
     part: tuple[DryMass, ...] = optional("dry parts without engines", ())
     tank: tuple[LayoutTank, ...] = optional("tanks with liquid propellant", (), max_length=MAX_PENDULUMS)
     grain: tuple[Grain, ...] = optional("solid propellant", ())
-    engine: LayoutThrust
+    engine: LayoutNozzles
     axial_factor: NotNegative = optional("factor on the assumed axial force coefficient", 1.0)
     ignition_after_s: values.Seconds = optional("after the beginning of the clock of the stage, s", 0.0)
     separation_after_s: values.Seconds = optional("from burnout to separation, s", 1.0)
@@ -280,6 +295,11 @@ class LayoutBooster(Between):
         check_balance(self.tank)
         if self.usable_kg <= 0.0:
             raise refuse("no propellant", "tanks with more than their residual, or a grain", ("tank",))
+
+
+def steered_boosters(stage: LayoutStage) -> bool:
+    """Return True if engines of boosters of a stage are gimballed."""
+    return any(booster.engine.gimbal == "both" for booster in stage.booster)
 
 
 class LayoutStage(Between):

@@ -264,10 +264,25 @@ class Stack:
         return self.leave_s is None and self.burn.end_s - self.full_s[1] >= LONG_TAIL_S
 
     def thrusts_N(self, t: float, pressure_Pa: float) -> tuple[float, float]:
-        """Return the thrust of all engines at ambient pressure, and that of the core's, which are gimballed."""
+        """Return the thrust of all engines at ambient pressure, and that of gimballed ones.
+
+        Gimballed boosters count as thrust with the same moment at the core's gimbal.
+        """
         own = _net_N(self.burn, self.stage.engine, t, pressure_Pa)
-        others = (len(s.booster.positions_m) * _net_N(s.burn, s.booster.engine, t, pressure_Pa) for s in self.boosters)
-        return own + sum(others), own
+        total, steered = own, own
+        for s in self.boosters:
+            e = s.booster.engine
+            thrust = len(s.booster.positions_m) * _net_N(s.burn, e, t, pressure_Pa)
+            total += thrust
+            if e.gimbal == "both":
+                cg_m = self.mass_properties(t).x_cg_m
+                steered += thrust * (e.gimbal_station_m - cg_m) / (self.stage.engine.gimbal_station_m - cg_m)
+        return total, steered
+
+    @property
+    def moving_boosters(self) -> tuple[str, ...]:
+        """Return the names of the boosters with gimballed engines."""
+        return tuple(name for s in self.boosters if s.booster.engine.gimbal == "both" for name in s.booster.names)
 
     def used_kg(self, t: float) -> float:
         """Return the propellant that the stage and its attached boosters have burned."""
