@@ -419,6 +419,24 @@ def test_loads_follow_ignition_burnout_and_separation() -> None:
     assert flight.metrics["max_section_mass_mismatch"] < 0.06
 
 
+def test_outflow_of_turning_boosters_leaves_the_ends_free() -> None:
+    """Behind all but its engine the core bears that engine's thrust alone, whatever the Coriolis forces of the flow."""
+    line = [{"front_station_m": 1.0, "rear_station_m": 11.0, "mass_kg": 1600.0}]  # its CG is that of the core
+    table = {"time_s": [0.0, 60.0], "mass_kg": [2400.0, 0.0], "front_station_m": [4.0, 4.0]}
+    liquid = [{"table": table, "bottom_station_m": 8.0}]
+    loads = {"stations_m": [5.0, 11.0], "line_mass": line, "liquid": liquid, "tolerance": 0.5}
+    tree = booster_launcher(core({}, [PAIR[0], solid("other", (0.7, 0.9))], loads=loads))
+    made = rig(merged(tree, {"switches": {"section_loads": True}}))
+    y = made.packed.state
+    y[layout.W_BI_B : layout.W_BI_B + 3] = (0.3, -0.2, 0.25)
+    now = evaluate_at(made.packed, y, 0.0)
+    assert now.sections[1] == pytest.approx([-110e3, 0.0, 0.0, 0.0, 0.0], abs=1e-6)
+    assert np.abs(now.sections[0, 3:]).min() > 100.0
+    made.vehicle.jet_damping = 0
+    without = evaluate_at(made.packed, y, 0.0)
+    assert np.abs(now.sections[0] - without.sections[0]).max() > 10.0  # there is something to balance
+
+
 def test_section_loads_of_boosters_on_spatial_modes_are_refused() -> None:
     tree = launcher((0.0, 0.0), bent=False)
     shape = {"phi_x": 0.0, "phi_y": 1.0, "phi_z": 0.0, "theta_x_pm": 0.0, "theta_y_pm": 0.0, "theta_z_pm": 0.0}
