@@ -420,7 +420,7 @@ def test_loads_follow_ignition_burnout_and_separation() -> None:
 
 
 def test_outflow_of_turning_boosters_leaves_the_ends_free() -> None:
-    """Behind all but its engine the core bears that engine's thrust alone, whatever the Coriolis forces of the flow."""
+    """At the gimbal, the core bears the thrust of its engine alone. The flow has Coriolis forces elsewhere."""
     line = [{"front_station_m": 1.0, "rear_station_m": 11.0, "mass_kg": 1600.0}]  # its CG is that of the core
     table = {"time_s": [0.0, 60.0], "mass_kg": [2400.0, 0.0], "front_station_m": [4.0, 4.0]}
     liquid = [{"table": table, "bottom_station_m": 8.0}]
