@@ -16,6 +16,8 @@ import design_nodes
 import numpy as np
 import petrelkit as petrel
 import pytest
+import test_oracle_boosters as boosters
+from flightkit import load
 
 import maxq
 from maxq import ScenarioError
@@ -307,6 +309,12 @@ STAGE_MARKS = {
     "gimbal_moment_Nm": 1e4,
 }
 
+WITHOUT_BOOSTERS = (
+    "one booster with more mass flow: no outer booster",
+    "one booster with more thrust: no outer booster",
+    "boosters separate late: no booster stage",
+)
+
 
 def _fitted(name: str | Path, scenario: str | Path, *stages: dict[str, Any]):
     memory: Any = Known(NOMINAL_MARKS, *stages)
@@ -318,8 +326,10 @@ def test_standard_suite_asks_for_what_can_fail() -> None:
     suite = fitted.suite
     names = {f.name for f in suite.flight}
     assert len(suite.flight) == 41
-    assert len(fitted.left_out) == 2
-    assert all(text.startswith("one engine out") for text in fitted.left_out)  # it has a single one
+    assert fitted.left_out == (
+        *WITHOUT_BOOSTERS,
+        *(f"one engine out {when}: no outer engine" for when in ("early", "late")),  # it has a single one
+    )
     assert {
         "thrust lost early",
         "attitude transient",
@@ -390,6 +400,53 @@ def test_a_fitted_suite_names_every_part_of_the_vehicle() -> None:
     assert read_suite("standard").suite.flight  # what is fitted is a copy
 
 
+def test_generic_flights_treat_boosters() -> None:
+    """Engines and tanks of core and boosters deviate together; one booster alone; a late separation.
+
+    The second stage keeps its first booster, and the core flies on alone.
+    """
+    liquid = {"time_s": 0.0, "slosh_mass_kg": 50.0, "pendulum_length_m": 0.5, "hinge_station_m": 7.0}
+    tanks = {"tank": [{"table": [liquid], "damping_ratio": 0.02}]}
+    stays, leaves = boosters.solid("stays", (0.5, 0.9)) | tanks, boosters.solid("leaves", (0.0, -1.2))
+    stages = (
+        boosters.core({"separation_after_burnout_s": 1.5}, [stays, leaves], name="all"),
+        boosters.core({"separation_s": 20.0}, [stays], name="one") | boosters.AFTER,
+        boosters.core(boosters.AFTER, [], name="alone"),
+    )
+    base = load(boosters.launcher(*stages))
+    marks = [STAGE_MARKS | {"stage": n} | fitted_module._of_boosters(base, n) for n in range(3)]
+    memory: Any = Known(NOMINAL_MARKS | {"limit_wind": "calm.csv"}, *marks)
+    fitted = fit(read_suite("launcher"), base, memory)
+    changes = {f.name: f.set for f in fitted.suite.flight}
+    engines = ["0.engine", "1.engine", "2.engine", "0.booster.0.engine", "0.booster.1.engine", "1.booster.0.engine"]
+    assert sorted(changes["hot engine"]) == sorted(f"vehicle.stage.{e}.mass_flow_factor=1.03" for e in engines)
+    assert sorted(changes["cold engine"]) == sorted(f"vehicle.stage.{e}.mass_flow_factor=0.97" for e in engines)
+    turned = [f"vehicle.stage.{e}.misalignment_deg=[0.29,0.29]" for e in engines]
+    assert sorted(changes["engine misaligned"]) == sorted(turned)
+    smooth = [f"vehicle.stage.{n}.booster.0.tank.0.damping_ratio=0.001" for n in (0, 1)]
+    assert list(changes["slosh, smooth walls"][-2:]) == smooth
+    assert changes["one booster with more thrust, all"] == ("vehicle.stage.0.booster.1.engine.thrust_factor=1.042",)
+    flow = [f"vehicle.stage.{n}.booster.0.engine.mass_flow_factor=1.042" for n in (0, 1)]
+    assert list(changes["one booster with more mass flow, one"]) == flow
+    assert changes["boosters separate late, all"] == ("vehicle.stage.0.separation_after_burnout_s=3.5",)
+    assert changes["boosters separate late, one"] == ("vehicle.stage.1.separation_s=22.0",)
+    assert "boosters separate late, stage 3: no booster stage" in fitted.left_out
+
+
+def test_a_suite_adds_flights_to_those_of_another(tmp_path: Path) -> None:
+    own = '[[append.flight]]\nname = "{}"\nset = ["run.duration_s=1"]\n'
+    for name, base, flight in (("mine", "quick", "calm"), ("yours", "mine.toml", "short")):
+        (tmp_path / f"{name}.toml").write_text(f'schema = 2\nextends = "{base}"\n{own.format(flight)}')
+    names = [f.name for f in read_suite("quick").suite.flight]
+    assert [f.name for f in read_suite(tmp_path / "yours.toml").suite.flight] == [*names, "calm", "short"]
+    (tmp_path / "yours.toml").write_text(f'schema = 2\nextends = "mine.toml"\n{own.format("calm")}')
+    with pytest.raises(ScenarioError) as error:
+        read_suite(tmp_path / "yours.toml")
+    assert str(error.value).startswith(
+        f'{tmp_path / "yours.toml"}: append.flight.0.name = "calm": is the name of another'
+    )
+
+
 @pytest.mark.long
 def test_a_suite_for_several_stages_and_engines() -> None:
     """The second vehicle: nine engines below, one above; each stage has its faults; none of them KSR-III's."""
@@ -401,9 +458,8 @@ def test_a_suite_for_several_stages_and_engines() -> None:
     assert [name.partition(", ")[2] for name in of_each] == [s.name for s in petrel.scenario().vehicle.stage]
     assert "stage=1,at_s=15.0,until_s=15.2" in flights[of_each[1]].set[1]
     assert "engine=2," in flights["one engine out late, first"].set[1]
-    assert fitted.left_out == tuple(
-        f"one engine out {when}, stage {n}: no outer engine" for when in ("early", "late") for n in (2, 3)
-    )
+    outer = (f"one engine out {when}, stage {n}: no outer engine" for when in ("early", "late") for n in (2, 3))
+    assert fitted.left_out == (*WITHOUT_BOOSTERS, *outer)
     hot = flights["hot engine"].set
     assert len(hot) == 11
     assert all(change.endswith("mass_flow_factor=1.03") for change in hot)

@@ -39,6 +39,7 @@ from maxq.sim.vehicle.air.kernel import (
 )
 from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, are_usual, counts, rigid_counts, usual_counts
 from maxq.sim.vehicle.body import kernel as rigid
+from maxq.sim.vehicle.clamp import clamp_tail
 from maxq.sim.vehicle.engine.kernel import (
     Deflected,
     Engine,
@@ -123,6 +124,7 @@ class Held:
 
     on_pad: int  # 1: held down
     on_rail: int  # 1: guided by the launch rail
+    clamped: int  # 1: held at the tail alone, on the pad
     burning: int
     command_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # command to the actuators: pitch and yaw of each group
     engine_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # angles at the start of the step, the memory of the play
@@ -367,13 +369,27 @@ def _derivative(
             work.system,
             aux.tvc_loads,
         )
+    if held.clamped == 1:
+        force, moment = clamp_tail(
+            vehicle.sizes,
+            environment.earth,
+            vehicle.engine.gimbal_station_m[0],
+            rotation,
+            balanced.offset,
+            balanced.inverse_inertia,
+            pad,
+            force,
+            moment,
+            properties,
+            y,
+            work,
+        )
+    fixed = held.on_pad - held.clamped
     specific_force, alpha = accelerate(
-        sizes, held.on_pad + held.on_rail, balanced, force, moment, pad, properties, y, pendulums, work
+        sizes, fixed + held.on_rail, balanced, force, moment, pad, properties, y, pendulums, work
     )
 
-    rigid.kinematics(
-        environment.earth, held.on_pad, rotation, rate, specific_force, alpha, gravitation, properties, y, dy
-    )
+    rigid.kinematics(environment.earth, fixed, rotation, rate, specific_force, alpha, gravitation, properties, y, dy)
     load, e, system, at_yaw = vehicle.tvc_load, vehicle.engine, work.system, states.ACTUATOR + states.N_ACTUATOR
     against = resistance(load, e, sizes, 0, system)
     actuator_rates(vehicle.actuator_pitch, held.faults, 0, y, states.ACTUATOR, held.command_rad[0], against, dy)
@@ -445,11 +461,17 @@ def engine_motion(
 def further_motion(e: Engine, of: Sizes, properties: Array, work: Work, aux: Aux) -> None:
     """Write the deflected engines after the first to `work`."""
     for k in range(1, of.engines):
-        pitch, yaw = aux.engines.channel[2 * e.group[k]], aux.engines.channel[2 * e.group[k] + 1]
-        if of.tvc_loads > 0 and e.swings[k] >= 0:
-            pitch, yaw = aux.tvc_loads.swing[2 * e.swings[k]], aux.tvc_loads.swing[2 * e.swings[k] + 1]
-        axis, axis_rate, axis_accel = engine_axis_motion(e, k, pitch, yaw)
-        put_deflected(work.engine[k], deflected_engine(e, k, axis, axis_rate, axis_accel, properties))
+        put_deflected(work.engine[k], moved_engine(e, of, k, properties, aux))
+
+
+@kernel
+def moved_engine(e: Engine, of: Sizes, k: int, properties: Array, aux: Aux) -> Deflected:
+    """Return engine k as its group, or its TVC load, moves it; after the derivative with the solved acceleration."""
+    pitch, yaw = aux.engines.channel[2 * e.group[k]], aux.engines.channel[2 * e.group[k] + 1]
+    if of.tvc_loads > 0 and e.swings[k] >= 0:
+        pitch, yaw = aux.tvc_loads.swing[2 * e.swings[k]], aux.tvc_loads.swing[2 * e.swings[k] + 1]
+    axis, axis_rate, axis_accel = engine_axis_motion(e, k, pitch, yaw)
+    return deflected_engine(e, k, axis, axis_rate, axis_accel, properties)
 
 
 @kernel

@@ -100,7 +100,8 @@ def _propellants(body: LayoutStage | LayoutBooster, y_m: float = 0.0) -> list[Se
             z = np.linspace(0.0, top, 81)
             place, radius = t.bottom_station_m - t.radius_m * z, t.radius_m * profile.surface_radius(z)
             name = f"{propellant_text(t.name)} at liftoff" if full else ""
-            out.append(side_view.tank(place, radius, name, COLOURS[k % 4], full=full, y_m=y_m))
+            at_m = y_m + t.position_m[0]
+            out.append(side_view.tank(place, radius, name, COLOURS[k % 4], full=full, y_m=at_m))
     for grain in body.grain:
         ends, r = [grain.front_station_m, grain.rear_station_m], grain.radius_m or 0.5 * body.diameter_m
         out.append(side_view.revolved(ends, r, "grain", y_m=y_m, fill="grey", opacity=0.5, bare=True))
