@@ -36,6 +36,12 @@ def words(page: str) -> str:
     return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", page.split("<script", maxsplit=1)[0])).split())
 
 
+def outcome(path: Path) -> tuple[str, ...]:
+    """Return the tone, the word and the reason of a page's outcome."""
+    (found,) = re.findall(r'<div class="outcome (\w+)"><b>(.*?)</b><p>(.*?)</p>', path.read_text(encoding="utf-8"))
+    return tuple(map(html.unescape, found))
+
+
 def test_an_analysis_is_a_page(capsys: Printed) -> None:
     assert simdesign.main(["analyse", "ksr3-default", "--at", "20", "--at", "40", "--out", "here"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "PASSED: stable, all 9 limits met; page: here/analysis.html"
@@ -82,6 +88,8 @@ def test_a_missed_limit_leads_the_page(capsys: Printed) -> None:
     assert simdesign.main(["analyse", "strict.toml", "--at", "40", "--out", "here"]) == 1
     shown = words(Path("here/analysis.html").read_text(encoding="utf-8"))
     assert "FAILED Gain margin missed" in shown
+    told = capsys.readouterr().out.splitlines()[-1].partition("; page: ")[0].removeprefix("FAILED: ")
+    assert outcome(Path("here/analysis.html")) == ("bad", "FAILED", f"{told[0].upper()}{told[1:]}.")
     tightest = shown.partition("Tightest limits: ")[2]
     wanted = r"gain margin(, \w+, other axes closed)?: \S+ dB at 40 s, limit ≥\s9.6 dB, margin to limit -\S+ dB"
     assert len(re.findall(wanted, tightest)) == 3

@@ -126,7 +126,6 @@ def write_page(path: Path, shown: DesignPage) -> Path:
     """Write the page. Raises FileError."""
     from maxq.tools.pages.render import render  # noqa: PLC0415  # lazy: for the page only
 
-    word, _, said = shown.verdict.partition(": ")
     checks = [replace(c, text=_named(g.stage, c.text)) for g in shown.groups for c in g.checks]
     bounded = [c for c in checks if not c.passed or not drawn.is_stability(c)]
     first = sorted(bounded, key=lambda c: (c.passed, _nearest(c)))[:_TIGHTEST]
@@ -134,8 +133,6 @@ def write_page(path: Path, shown: DesignPage) -> Path:
         "design.html.j2",
         _plots(shown),
         shown=shown,
-        word=word,
-        said=f"{said[:1].upper()}{said[1:]}.",
         tone="good" if shown.passed else "bad",
         tightest=[(_sentence(c), _outcome(c)) for c in first],
         limits=[

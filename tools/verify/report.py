@@ -33,7 +33,7 @@ from maxq.tools.design.report import GAIN_HEADS, uncovered_lines, uncovered_reco
 from maxq.tools.pages.render import render
 from maxq.tools.plots.figures import Plot, as_csv
 from maxq.tools.verify.board import board_record, board_tables, waiver_lines
-from maxq.tools.verify.outcome import headline, verdict_word
+from maxq.tools.verify.outcome import headline
 from maxq.tools.verify.records import RESULTS_NAME, file_hashes, record_lines, records, write_attempts, write_runs
 from maxq.tools.verify.signing import SUFFIX
 
@@ -103,7 +103,6 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
         found=found,
         command=command,
         headline=headline(found),
-        verdict_word=verdict_word(found.judgement, found.requirements),
         board_tables=board_tables(found),
         record_lines=record_lines(found),
         tank_name=tank_name,
