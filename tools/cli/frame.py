@@ -95,12 +95,18 @@ def _say_notes(command: str) -> None:
 
 
 def show_list(kinds: dict[str, str]) -> int:
-    """Print name and description of the built-in files of each kind (of builtin.FOLDERS), below its title: --list."""
+    """Print name and description of the built-in files of each kind (of builtin.FOLDERS), below its title: --list.
+
+    The descriptions of all kinds begin in the same column.
+    """
     from maxq.sim.input.files import builtin_files  # noqa: PLC0415  # lazy: --help is quick
 
-    for kind, title in kinds.items():
-        files = sorted(builtin_files(kind).items(), key=lambda item: (item[0] not in FIRST, "/" in item[0], item[0]))
-        tell(title, *aligned([(name, _description(path)) for name, path in files], "  "))
+    found = {kind: builtin_files(kind) for kind in kinds}
+    width = max(len(name) for files in found.values() for name in files)
+    for k, (kind, title) in enumerate(kinds.items()):
+        files = sorted(found[kind].items(), key=lambda item: (item[0] not in FIRST, "/" in item[0], item[0]))
+        rows = [(name.ljust(width), _description(path)) for name, path in files]
+        tell(*[""] * (k > 0), title, *aligned(rows, "  "))
     return Exit.OK
 
 
