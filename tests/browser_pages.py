@@ -99,7 +99,8 @@ def loops() -> Plot:
     ]
     nichols = Panel("Nichols plane", [], "phase, deg", "dB", (-360.0, 0.0), (-40.0, 30.0), plane="nichols")
     nyquist = Panel("Nyquist plane", [], x_range=(-3.0, 3.0), y_range=(-3.0, 3.0), plane="nyquist", equal=True)
-    return Plot("loops", "Loops", [*bode, nichols, nyquist], "A caption.", 2, 180, loops=every, split=3)
+    critical = Panel("near -1", [], "Re L", "Im L", (-1.6, 0.6), (-1.1, 1.1), plane="critical", equal=True)
+    return Plot("loops", "Loops", [*bode, nichols, nyquist, critical], "A caption.", 2, 180, loops=every, split=3)
 
 
 @pytest.fixture

@@ -58,7 +58,14 @@ def test_an_analysis_is_a_page(capsys: Printed) -> None:
     drawn = figures(page)
     assert set(drawn) == {"utilisation", "limits", "loop", "gains", "filter"}
     loop = drawn["loop"]
-    assert [panel["plane"] for panel in loop["panels"]] == ["gain", "phase", "distance", "nichols", "nyquist"]
+    assert [panel["plane"] for panel in loop["panels"]] == [
+        "gain",
+        "phase",
+        "distance",
+        "nichols",
+        "nyquist",
+        "critical",
+    ]
     assert [one["name"] for one in loop["loops"]] == ["20 s, pitch and yaw", "40 s, pitch and yaw"]
     assert sum(one["first"] for one in loop["loops"]) == 1, "the loop that is shown first"
     for one, node in zip(loop["loops"], told["nodes"], strict=True):
@@ -104,7 +111,17 @@ def test_the_data_of_the_loops_are_all_there() -> None:
     (zone,), (least,) = (plot.loops[0]["limits"][plane] for plane in ("nichols", "distance"))
     assert (zone["x"].min(), zone["y"].max()) == (-210.0, 6.0)
     assert least["value"] == pytest.approx(0.501, abs=1e-3)
-    assert plot.loops[1]["limits"] == {"nichols": [], "distance": []}
+    assert plot.loops[1]["limits"] == {"nichols": [], "critical": [], "distance": []}
+    (near,) = plot.loops[0]["limits"]["critical"]
+    outline = near["x"] + 1j * near["y"]
+    turned = (np.degrees(np.angle(outline)) + 360.0) % 360.0 - 180.0
+    share = np.abs(20.0 * np.log10(np.abs(outline))) / 6.0 + np.abs(turned) / 30.0
+    np.testing.assert_allclose(share, 1.0, atol=1e-9)  # on the diamond of 6 dB and 30 deg, all around
+    assert len(outline) == 48
+    assert (near["x"].min(), near["y"].max()) == pytest.approx((-1.9953, np.sin(np.radians(30.0))), abs=0.02)
+    (panel,) = [p for p in plot.panels if p.plane == "critical"]
+    assert panel.equal
+    assert panel.x_range == (-1.6, 0.6), "the unit circle near -1"
     rows = [line.split(",") for line in as_csv(plot).splitlines()]
     mine = [row for row in rows if row[0] == "40 s"]
     assert len(mine) == len(plot.loops[1]["x"])
