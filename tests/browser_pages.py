@@ -188,12 +188,12 @@ def test_a_slider_chooses_the_loop_of_every_plane(page: Page, file: Path) -> Non
     figure = "document.getElementById('figure-loops')"
     assert value(page, f"{figure}.querySelector('output b').textContent") == "10 s, pitch"
     before = value(page, CURVES)
-    assert len(before) == 5
+    assert len(before) == 6
     value(page, f"{figure}.querySelector('input').focus()")
     key(page, "ArrowRight")
     assert value(page, f"{figure}.querySelector('output b').textContent") == "20 s, pitch"
     after = value(page, CURVES)
-    assert [one != other for one, other in zip(before, after, strict=True)] == [True, False, True, True, True], (
+    assert [one != other for one, other in zip(before, after, strict=True)] == [True, False, True, True, True, True], (
         "the phase of a loop does not depend on its gain"
     )
     key(page, "ArrowLeft")

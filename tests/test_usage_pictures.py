@@ -20,10 +20,11 @@ from picture_check import faults
 import maxq
 from maxq.design.margins.distances import Zone
 from maxq.design.verify.judging import Wanted, judge
+from maxq.sim.campaign.analysis import Band
 from maxq.tools.design import pictures
 from maxq.tools.design.open_loop import LoopPicture, Mark
 from maxq.tools.design.pictures_loop import contours, draw_loop
-from maxq.tools.pages.render import render
+from maxq.tools.pages.render import command, render, sentence
 from maxq.tools.plots import campaign, style
 from maxq.tools.plots.figures import Panel, Plot, as_csv, as_json, at, band, limit, line, points, thinned
 from maxq.tools.plots.palette import RED
@@ -206,6 +207,21 @@ def test_red_is_what_misses_the_limit_and_not_what_lies_on_it(kind: str, failure
         assert run is None if not len(inside) else spread[run] == (inside.max() if kind == "limit" else inside.min())
     v.bound = 2.0 if kind == "limit" else 0.0
     assert not campaign.missed(values, v).any()
+
+
+@pytest.mark.parametrize(("runs", "name"), [(19, "5 to 95 % (about all runs)"), (20, "5 to 95 %")])
+def test_a_band_of_few_runs_says_so(runs: int, name: str) -> None:
+    lines = np.array([[1.0, 1.5], [2.0, 2.5], [3.0, 3.5]])
+    band = Band("mach", runs, np.array([0.0, 1.0]), (5.0, 50.0, 95.0), lines, np.array([runs, runs]))
+    shown, median = campaign._envelope(band, "1", []).series
+    assert (shown["name"], median["name"]) == (name, "median")
+    assert [shown["y"].tolist(), shown["y2"].tolist(), median["y"].tolist()] == [*lines[[0, 2]].tolist(), [2.0, 2.5]]
+
+
+def test_texts_of_pages_are_sentences_and_options_stay_whole() -> None:
+    assert [sentence(text) for text in ("", "a b", "A b.", "why?")] == ["", "A b.", "A b.", "Why?"]
+    shown = "<code>simrun x <span>--set</span> &#39;a-b=&lt;--c&gt;&#39; <span>--out</span> d</code>"
+    assert command("simrun x --set 'a-b=<--c>' --out d") == shown
 
 
 def test_pages_list_their_headings_and_repeat_the_heads_of_tables(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -161,7 +161,7 @@ def test_rejected_and_undecided_have_their_codes(
     assert code == 1
     verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
     assert 0.0 < sum(verdict["walls_s"].values()) <= verdict["wall_s"]
-    assert "\n\nrequirements not shown to be met\n  rejected: upper gain margin, as designed" in said
+    assert "\n\nrequirements not shown to be met\n  missed: upper gain margin, as designed" in said
     code, said, _ = _run(
         capsys, "ksr3-robust", *quick, "--set", "margins.nominal.gain_up_db=3.0", "--set", "margins.success=0.99"
     )

@@ -130,8 +130,10 @@
     frame.replaceChildren();
     const width = Math.max(frame.clientWidth, 180);
     const box = { top: 6, right: 12, bottom: 20, left };
-    const w = width - box.left - box.right, h = height - box.top - box.bottom;
     let [xs, ys] = [view.x, view.y];
+    const w = width - box.left - box.right, needed = (ys[1] - ys[0]) / (xs[1] - xs[0]) * w + box.top + box.bottom + 52; // and names above and below
+    if (panel.equal && !panel.plane) height = Math.min(height, Math.max(needed, 90)); // to scale, without empty space
+    const h = height - box.top - box.bottom;
     if (panel.equal) {
       const unit = Math.max((xs[1] - xs[0]) / w, (ys[1] - ys[0]) / h);
       [xs, ys] = [[xs, w], [ys, h]].map(([[a, b], pixels]) => [(a + b - unit * pixels) / 2, (a + b + unit * pixels) / 2]);
@@ -443,6 +445,7 @@
   function key(parent, panels, figure) {
     const seen = new Map();
     for (const p of panels) for (const s of seriesOf(p, figure.loops[0])) if (s.name && !seen.has(s.name) && s.kind !== "rows") seen.set(s.name, s);
+    if (panels.some((p) => p.series.some((s) => s.kind === "bars" && s.y2 && s.y2.some((n) => n)))) seen.set("runs that miss the limit", { kind: "bars", colour: "limit" });
     if (seen.size < 1 || panels.every((p) => seriesOf(p, figure.loops[0]).length < 2)) return;
     const list = make(parent, "p", "", { class: "key" });
     for (const [name, s] of seen) {

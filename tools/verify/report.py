@@ -23,7 +23,7 @@ from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED, Ju
 from maxq.design.verify.verify import Verification
 from maxq.design.verify.worst import WorstVehicle
 from maxq.sim.campaign.analysis import finer_text
-from maxq.sim.campaign.statistics import MET
+from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.files import plain_name, write_whole
 from maxq.sim.flight.metric_table import unit_of
 from maxq.sim.run.metrics import Verdict
@@ -42,7 +42,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _PRINT_S = 60.0
 _RANKED = ("upper gain margin", "phase margin", "phase margin at mode 1")
 _HEADINGS = ("gain dB", "phase deg", "mode 1 deg")  # of the same in the ranking
-WORDS = {ACCEPTED: MET, REJECTED: REJECTED, UNDECIDED: UNDECIDED}  # of a single requirement
+WORDS = {ACCEPTED: MET, REJECTED: NOT_MET, UNDECIDED: UNDECIDED}  # of a single requirement
 _KEYS = {"judgement": "verdict"}  # of a requirement, as in verdict.json
 FLIGHT = ("name", "outcome", "passed", "failures", "metrics", "state_hash", "again")
 _LINE = (
@@ -103,6 +103,7 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
         found=found,
         command=command,
         headline=headline(found),
+        outcomes=WORDS,
         board_tables=board_tables(found),
         record_lines=record_lines(found),
         tank_name=tank_name,
@@ -344,7 +345,7 @@ def reasons(found: Verification) -> list[str]:
     """Return the reasons for which a design is not accepted, a line each, and the command that shows each."""
     out = []
     for r in (*found.of(REJECTED), *found.of(UNDECIDED)):
-        out.append(f"  {r.judgement}: {printable(r.reason)}")
+        out.append(f"  {WORDS[r.judgement]}: {printable(r.reason)}")
         out += [f"      {from_here(r.again)}"] if r.again else []
     return out
 

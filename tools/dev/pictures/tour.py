@@ -46,7 +46,7 @@ COPIES = {
 SHOTS = {  # of a page: the elements that are shown
     "vehicle-page": ("hawk/vehicle.html", "#figure-vehicle, #figure-modes"),
     "campaign-report": ("runs/first/report.html", "#figure-histograms"),
-    "review-pack": ("runs/verify-design/review.html", ".verdict, .own-page > table:first-of-type"),
+    "review-pack": ("runs/verify-design/review.html", ".outcome, .own-page > table:first-of-type"),
 }
 SHOT_PX, SCALE, BORDER_PX = (1000, 1600), 1.5, 12
 DESIGN = "design=designs/ksr3-robust-ascent.toml"
