@@ -55,6 +55,12 @@ def test_an_analysis_is_a_page(capsys: Printed) -> None:
     told = json.loads(Path("here/analysis.json").read_text())
     for limit in told["limits"]:
         assert f"{limit['name']} " in text
+    rows = [re.findall(r"<td.*?>(.*?)</td>", row) for row in page.split("<caption>")[1].split("<tr>")[2:]]
+    (phase,) = [row for row in rows if row[0] == "phase margin"]
+    asked, value, left = (float(cell.removeprefix("≥\xa0").removesuffix(" deg")) for cell in phase[1:4])
+    assert (left, len(phase[2]), len(phase[3])) == (pytest.approx(value - asked, abs=1e-9), 9, 9), (
+        "as exact as the value"
+    )
     drawn = figures(page)
     assert set(drawn) == {"utilisation", "limits", "loop", "gains", "filter"}
     loop = drawn["loop"]

@@ -70,7 +70,9 @@ def picture_of(judged: JudgedLoop, title: str, zones: Sequence[Zone] = ()) -> Lo
         margins.phase_deg.frequency_hz: f"{margins.phase_deg.value:.0f} deg",
     }
     inner = (phase.frequency_hz >= f[0]) & (phase.frequency_hz <= f[-1])
-    for what, crossings, chosen in (("phase", gain, np.ones(len(gain.frequency_hz), bool)), ("gain", phase, inner)):
+    kinds: tuple[Literal["phase", "gain"], ...] = ("phase", "gain")
+    every = np.ones(len(gain.frequency_hz), bool)
+    for what, crossings, chosen in zip(kinds, (gain, phase), (every, inner), strict=True):
         for hz, value in zip(crossings.frequency_hz[chosen], crossings.loop[chosen], strict=True):
             text = f"{binding[hz]}, {hz:.3g} Hz" if hz in binding else ""
             marks.append(Mark(float(hz), complex(value), text, what))

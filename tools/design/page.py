@@ -177,8 +177,9 @@ def _cells(check: Check) -> tuple[str, str, str, str]:
     left = value - check.wanted if check.sense == ">=" else check.wanted - value
     left = 0.0 if check.passed and left < TOLERANCE else left
     at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
-    worst = f"{number_text(value)}{unit}" if math.isfinite(value) else "none"
-    return f"{check.sense} {check.wanted:g}{unit}", worst, f"{left:z.3g}{unit}" if math.isfinite(left) else "", at
+    worst = number_text(value) if math.isfinite(value) else "none"
+    margin = f"{left:z.{len(worst.partition('.')[2])}f}{unit}" if math.isfinite(left) else ""  # as exact as the value
+    return f"{check.sense} {check.wanted:g}{unit}", worst + unit * math.isfinite(value), margin, at
 
 
 def _row(check: Check) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -38,7 +39,12 @@ def draw_loop(picture: LoopPicture) -> Figure:
     _near_minus_one(picture, places[5])
     grey = Line2D([], [], color=PALE, linewidth=1.2, label="|T| in dB, phase of T (Nichols); |L| in dB (Nyquist)")
     cross = Line2D([], [], color=BLACK, marker="+", markersize=9, markeredgewidth=1.8, linestyle="none", label="-1")
-    shown = [Line2D([], [], color=BLUE, label="L"), Line2D([], [], **_MARGIN, label="margin"), cross, grey]
+    shown: list[Artist] = [
+        Line2D([], [], color=BLUE, label="L"),
+        Line2D([], [], **_MARGIN, label="margin"),
+        cross,
+        grey,
+    ]
     if picture.zones:
         shown.insert(3, Patch(**_ZONE, label="zone around -1"))
     figure.legend(handles=shown, loc="outside lower left", ncols=len(shown))
@@ -262,13 +268,14 @@ def _mark(place: Axes, mark: Mark, n: int, way: Array) -> None:
     """Draw a mark at the beginning of `way`; of a margin, all of it."""
     if not mark.text:  # a crossing that sets no margin
         return
+    x, y = map(float, way[0])
     if mark.what == "lobe":
-        place.plot(*way[0], "o", color=_colour(n), markersize=3.5)
-        name_point(place, *way[0], mark.text)
+        place.plot(x, y, "o", color=_colour(n), markersize=3.5)
+        name_point(place, x, y, mark.text)
     else:
         place.plot(*way.T, **_MARGIN)
         name = f"|1 + L| {mark.text}" if mark.what == "least" else mark.text.partition(",")[0]
-        name_point(place, *way[0], name, color=RED)
+        name_point(place, x, y, name, color=RED)
 
 
 def _outline(zone: Zone) -> Array:
