@@ -32,10 +32,10 @@ COMMANDS = {  # by what they write
     "runs/nominal": "simrun nominal",
     "runs/sheets": "simreplay runs/nominal --plots runs/sheets",
     "runs/first": "simrun campaigns/first",
-    "runs/my-gains": "simdesign analyse my-gains.toml --out runs/my-gains",
+    "runs/my-gains": "simdesign analyse my-gains.toml --plots --out runs/my-gains",
     "hawk": "simvehicle examples/own_vehicle/hawk.toml --out hawk",
     "runs/design": "simdesign hawk/case.toml --out runs/design --no-pictures",
-    "runs/loop": "simdesign analyse runs/design --scenario hawk/scenario.toml --at 50 --out runs/loop",
+    "runs/loop": "simdesign analyse runs/design --scenario hawk/scenario.toml --at 50 --plots --out runs/loop",
     "runs/verify-design": "simverify runs/design --suite hawk/suite.toml",
 }
 COPIES = {
