@@ -750,3 +750,24 @@ def test_requirements_of_each_plane_stand_under_its_name() -> None:
     both = asked("", "5 s, pitch", "9 s, pitch", "", "5 s, yaw", "7 s, yaw", "")
     assert pack_report._headings(both) == [", pitch"] * 3 + [", yaw"] * 4
     assert pack_report._headings(asked("", "at 3 s", "5 s, pitch")) == [""] * 3
+
+
+def test_the_summary_names_the_evidence_of_each_part() -> None:
+    margins = SimpleNamespace(planes=("pitch", "yaw"), worst=SimpleNamespace(sigmas=2.5))
+    results = SimpleNamespace(
+        flights=[1, 2], margins=[SimpleNamespace(times_s=[1.0] * 9, random=[1] * 60, corners=[1] * 4)], measured=[]
+    )
+    parts = [("scenarios", "accepted"), ("margins", "rejected"), ("dispersed", "undecided"), ("worst", "accepted")]
+    found: Any = SimpleNamespace(
+        suite=SimpleNamespace(margins=margins, certificate=None),
+        results=results,
+        deviations="",
+        campaigns=[],
+        requirements=[SimpleNamespace(part=part, judgement=judgement) for part, judgement in parts],
+    )
+    assert [(row["name"], row["asked"], row["counts"]) for row in pack_report._summary(found)] == [
+        ("scenarios", "2 flights, each within its limits", [1, 0, 0]),
+        ("margins", "linear margins of the design at 9 operating points, pitch and yaw", [0, 1, 0]),
+        ("dispersed", "the same of 64 dispersed vehicles", [0, 0, 1]),
+        ("worst", "search for the worst vehicle within 2.5 sigma", [1, 0, 0]),
+    ]

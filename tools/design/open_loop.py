@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
 from maxq.design.certificate.response import decibels
+from maxq.design.margins.crossings import GainCrossings, PhaseCrossings
 from maxq.design.margins.distances import Zone
 from maxq.design.margins.lobes import Lobe
 from maxq.design.model.state_space import ComplexArray
@@ -70,9 +72,10 @@ def picture_of(judged: JudgedLoop, title: str, zones: Sequence[Zone] = ()) -> Lo
         margins.phase_deg.frequency_hz: f"{margins.phase_deg.value:.0f} deg",
     }
     inner = (phase.frequency_hz >= f[0]) & (phase.frequency_hz <= f[-1])
-    kinds: tuple[Literal["phase", "gain"], ...] = ("phase", "gain")
     every = np.ones(len(gain.frequency_hz), bool)
-    for what, crossings, chosen in zip(kinds, (gain, phase), (every, inner), strict=True):
+    crossed: tuple[tuple[Literal["phase", "gain"], GainCrossings | PhaseCrossings, NDArray[np.bool_]], ...]
+    crossed = ("phase", gain, every), ("gain", phase, inner)
+    for what, crossings, chosen in crossed:
         for hz, value in zip(crossings.frequency_hz[chosen], crossings.loop[chosen], strict=True):
             text = f"{binding[hz]}, {hz:.3g} Hz" if hz in binding else ""
             marks.append(Mark(float(hz), complex(value), text, what))

@@ -131,6 +131,8 @@ def _summary(found: Verification) -> list[dict[str, Any]]:
         asked["margins"] = f"linear margins of the design at {nodes} operating points, {' and '.join(margins.planes)}"
         vehicles = next((len(m.random) + len(m.corners) for m in found.results.margins), 0)
         asked["dispersed"] = f"the same of {vehicles} {found.deviations or 'dispersed vehicles'}"
+        if (worst := margins.worst) is not None:
+            asked["worst"] = f"search for the worst vehicle within {worst.sigmas:g} sigma"
     if suite.certificate is not None:
         nodes = len(found.results.certificates)
         asked["certificate"] = f"linear loop and flight agree at {nodes} operating point{'s' * (nodes != 1)}"
