@@ -157,6 +157,11 @@ def test_page_holds_all_pictures(built) -> None:
         "length": "19.6 m",
         "largest diameter of the core": "1.2 m",
     }.items() <= facts.items()
+    stages = re.findall(r'<th scope="col"(.*?)>(.*?)</th>', text.split("<caption>")[1])
+    assert stages[0] == ("", "stage")
+    assert stages[1] == (' class="n" title="mass at ignition, with all stages above"', "mass at ignition, kg")
+    assert stages[5] == (' class="n" title="delta-v in vacuum, without losses"', "delta-v, m/s")
+    assert "<dt>speed, m/s</dt><dd>speed relative to the Earth at burnout</dd>" in text
     assert "second, fairing off" in text
     assert "clamped at the tail on the pad" in text
     headings = ["Vehicle", "Stages", "Bending modes", "Control", "Assumptions beyond the layout"]

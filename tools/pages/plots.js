@@ -502,7 +502,7 @@
     const cells = figure.panels.map((panel, k) => {
       const column = figure.split ? +(k >= figure.split) : k % figure.columns;
       const cell = make(columns[column] || grid, "div", "", { class: "panel" }), head = make(cell, "p", "", { class: "head" });
-      make(head, "b", panel.title);
+      make(head, "b", panel.title.replace(/^[a-z](?=[a-z])/, (letter) => letter.toUpperCase())); // not of k_p, q alpha
       if (panel.y) make(head, "span", (panel.title ? " · " : "") + panel.y);
       const reset = make(head, "button", "show all", { type: "button", hidden: "" });
       const inner = make(cell, "div"), under = panel.x ? make(cell, "p", panel.x, { class: "under" }) : null;

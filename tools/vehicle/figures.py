@@ -21,6 +21,20 @@ _AIR_Pa = 100.0  # below this dynamic pressure, the centre of pressure is irrele
 _TIME, _STATION = "flight time, s", "station, m aft of the nose"
 
 
+_HEADS = {
+    "from, kg": "mass at ignition, kg",
+    "to, kg": "mass at burnout, kg",
+    "burn, s": "burn time, s",
+    "T/W": "thrust / weight",
+    "dv, m/s": "delta-v, m/s",
+    "v, m/s": "speed, m/s",
+    "h, km": "altitude, km",
+    "path, deg": "flight path, deg",
+    "mass, kg": "generalised mass, kg",
+}
+"""Heads of columns on the page, which has more space than a terminal."""
+
+
 def page(built: Built, outcome: str, *, passed: bool) -> str:
     """Return one HTML file with all figures.
 
@@ -42,10 +56,10 @@ def page(built: Built, outcome: str, *, passed: bool) -> str:
             ("length", f"{rear - front:.4g} m"),
             ("largest diameter of the core", f"{max(s.diameter_m for s in layout.stage):.4g} m"),
         ),
-        tables=tables(built),
+        tables=[t._replace(rows=[tuple(_HEADS.get(h, h) for h in t.rows[0]), *t.rows[1:]]) for t in tables(built)],
         notes=notes(built),
         numbers=numbers,
-        meanings=MEANINGS,
+        meanings={_HEADS.get(head, head): meaning for head, meaning in MEANINGS.items()},
     )
 
 
