@@ -149,7 +149,7 @@ def test_overlapping_texts_are_found(page: Page, file: Path) -> None:
 
 def test_a_point_tells_its_values_and_its_command_and_a_panel_zooms(page: Page, file: Path) -> None:
     shown(page, file, 1280)
-    panel = "[...document.querySelectorAll('.panel')].find((p) => p.innerText.startsWith('runs'))"
+    panel = "[...document.querySelectorAll('.panel')].find((p) => p.innerText.startsWith('Runs'))"
     value(page, f"{panel}.scrollIntoView()")
     box = f"(({panel}).querySelectorAll('circle')[7].getBoundingClientRect())"
     x, y = (value(page, f"{box}.{side} + {box}.{size} / 2") for side, size in (("left", "width"), ("top", "height")))
@@ -232,7 +232,7 @@ def test_panels_of_a_column_are_aligned_and_zoom_together(page: Page, file: Path
 
 def test_a_point_is_reached_by_keyboard(page: Page, file: Path) -> None:
     shown(page, file, 1280)
-    panel = "[...document.querySelectorAll('.panel')].find((p) => p.innerText.startsWith('runs'))"
+    panel = "[...document.querySelectorAll('.panel')].find((p) => p.innerText.startsWith('Runs'))"
     value(page, f"{panel}.querySelector('svg[role=img]').focus()")
     for name in ("ArrowRight", "ArrowRight", "ArrowRight", "Enter"):
         key(page, name)
