@@ -147,9 +147,21 @@ def test_a_beam_held_at_its_tail_is_a_cantilever() -> None:
 
 @pytest.mark.slow
 def test_page_holds_all_pictures(built) -> None:
-    text = page(built)
+    text = page(built, "BUILT: stable first gains", passed=True)
     for name in ("vehicle", "masses", "modes", "aerodynamics", "control", "ascent"):
         assert text.count(f'id="figure-{name}"') == 1
+    assert '<div class="outcome good"><b>BUILT</b><p>Stable first gains.</p></div>' in text
+    facts = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", text))
+    assert {
+        "mass at liftoff": "13.2 t",
+        "length": "19.6 m",
+        "largest diameter of the core": "1.2 m",
+    }.items() <= facts.items()
+    stages = re.findall(r'<th scope="col"(.*?)>(.*?)</th>', text.split("<caption>")[1])
+    assert stages[0] == ("", "stage")
+    assert stages[1] == (' class="n" title="mass at ignition, with all stages above"', "mass at ignition, kg")
+    assert stages[5] == (' class="n" title="delta-v in vacuum, without losses"', "delta-v, m/s")
+    assert "<dt>speed, m/s</dt><dd>speed relative to the Earth at burnout</dd>" in text
     assert "second, fairing off" in text
     assert "clamped at the tail on the pad" in text
     headings = ["Vehicle", "Stages", "Bending modes", "Control", "Assumptions beyond the layout"]

@@ -163,7 +163,7 @@ def test_rejected_and_undecided_have_their_codes(
     assert code == 1
     verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
     assert 0.0 < sum(verdict["walls_s"].values()) <= verdict["wall_s"]
-    assert "\n\nrequirements not shown to be met\n  rejected: upper gain margin, as designed" in said
+    assert "\n\nrequirements not shown to be met\n  missed: upper gain margin, as designed" in said
     code, said, _ = _run(
         capsys, "ksr3-robust", *quick, "--set", "margins.nominal.gain_up_db=3.0", "--set", "margins.success=0.99"
     )
@@ -806,3 +806,24 @@ def test_requirements_of_each_plane_stand_under_its_name() -> None:
     both = asked("", "5 s, pitch", "9 s, pitch", "", "5 s, yaw", "7 s, yaw", "")
     assert pack_report._headings(both) == [", pitch"] * 3 + [", yaw"] * 4
     assert pack_report._headings(asked("", "at 3 s", "5 s, pitch")) == [""] * 3
+
+
+def test_the_summary_names_the_evidence_of_each_part() -> None:
+    margins = SimpleNamespace(planes=("pitch", "yaw"), worst=SimpleNamespace(sigmas=2.5))
+    results = SimpleNamespace(
+        flights=[1, 2], margins=[SimpleNamespace(times_s=[1.0] * 9, random=[1] * 60, corners=[1] * 4)], measured=[]
+    )
+    parts = [("scenarios", "accepted"), ("margins", "rejected"), ("dispersed", "undecided"), ("worst", "accepted")]
+    found: Any = SimpleNamespace(
+        suite=SimpleNamespace(margins=margins, certificate=None),
+        results=results,
+        deviations="",
+        campaigns=[],
+        requirements=[SimpleNamespace(part=part, judgement=judgement) for part, judgement in parts],
+    )
+    assert [(row["name"], row["asked"], row["counts"]) for row in pack_report._summary(found)] == [
+        ("scenarios", "2 flights, each within its limits", [1, 0, 0]),
+        ("margins", "linear margins of the design at 9 operating points, pitch and yaw", [0, 1, 0]),
+        ("dispersed", "the same of 64 dispersed vehicles", [0, 0, 1]),
+        ("worst", "search for the worst vehicle within 2.5 sigma", [1, 0, 0]),
+    ]

@@ -98,13 +98,17 @@ def _say_notes(command: str) -> None:
 def show_list(kinds: dict[str, str]) -> int:
     """Print the names and descriptions of built-in files, for the option --list. Return the exit code.
 
-    `kinds` maps each kind (a key of FOLDERS in sim/input/files.py) to the title above its files.
+    `kinds` maps each kind (a key of FOLDERS in sim/input/files.py) to the title above its files. All descriptions begin
+    in the same column.
     """
     from maxq.sim.input.files import builtin_files  # noqa: PLC0415  # lazy: --help is quick
 
-    for kind, title in kinds.items():
-        files = sorted(builtin_files(kind).items(), key=lambda item: (item[0] not in FIRST, "/" in item[0], item[0]))
-        tell(title, *aligned([(name, _description(path)) for name, path in files], "  "))
+    found = {kind: builtin_files(kind) for kind in kinds}
+    width = max(len(name) for files in found.values() for name in files)
+    for k, (kind, title) in enumerate(kinds.items()):
+        files = sorted(found[kind].items(), key=lambda item: (item[0] not in FIRST, "/" in item[0], item[0]))
+        rows = [(name.ljust(width), _description(path)) for name, path in files]
+        tell(*[""] * (k > 0), title, *aligned(rows, "  "))
     return Exit.OK
 
 

@@ -140,7 +140,7 @@ def execute(order: AnalysisOrder) -> int:
             if order.plots:
                 from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: Matplotlib, with --plots only
 
-                title = f"{scenario.vehicle.name}: {design.name or name}, {order.kind}"
+                title = f"{scenario.vehicle.name}, {design.name or name}, {order.kind} loop"
                 sheets = pictures.judged_sheets(judged, title, Wanted.stated_by(design, judged[0].node.stage))
                 files += pictures.draw_all(sheets, folder, progress.show)
     tell(analysis_report(name, order, design, groups, judged_by, loss))
