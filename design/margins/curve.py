@@ -12,7 +12,7 @@ distances, and near misses between two points of the grid.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -96,10 +96,6 @@ class LoopCurve:
     def lowest_radps(self) -> float:
         """Return the bound below which poles are drift."""
         return float(2.0 * np.pi * self.frequency_hz[0])
-
-    def with_points(self, frequency_hz: Array, loop: ComplexArray) -> LoopCurve:
-        """Return the curve with other points."""
-        return replace(self, frequency_hz=frequency_hz, loop=loop)
 
 
 @formula

@@ -46,8 +46,6 @@ from maxq.sim.vehicle.block import Sizes
 from maxq.sim.vehicle.workspace import PROPERTIES_SIZE
 
 OUTPUTS = ("delta_pitch_rad", "delta_yaw_rad", "local_rate_pitch_radps", "local_rate_yaw_radps")
-WINDS = ("wind_x_mps", "wind_y_mps", "wind_z_mps")
-"""The last inputs of `differentiate`: velocity of the air in B."""
 
 _SETTLING_M = 1e-4
 _STEP_R, _STEP_V, _STEP_TURN, _STEP_W = 8.0, 0.5, 4e-3, 1e-2
