@@ -146,6 +146,17 @@ def inputs_of(sizes: Any) -> tuple[str, ...]:
 
 def coordinates_of(sizes: Any) -> dict[str, float]:
     """Return the coordinates of a stage, in order, and the first step of the differences in each."""
+    counts = sizes.item()
+    if counts not in _COORDINATES:
+        _COORDINATES[counts] = _coordinates_of(sizes)
+    return dict(_COORDINATES[counts])
+
+
+_COORDINATES: dict[tuple[int, ...], dict[str, float]] = {}
+"""The results of `coordinates_of`, which each operating point requests several times."""
+
+
+def _coordinates_of(sizes: Any) -> dict[str, float]:
     pitch, yaw, spatial, tanks = (int(sizes[k]) for k in ("pitch_modes", "yaw_modes", "spatial_modes", "pendulums"))
     flat = layout.state_names(Sizes(0, 0, 0, 0))[layout.ACTUATOR : layout.N_FIXED]
     groups: list[tuple[Sequence[str], float]] = [
