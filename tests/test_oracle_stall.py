@@ -24,7 +24,7 @@ DURATION_s = 0.6
 
 
 def engines(count: int, stall_Nm: tuple[float, float] = STALL_Nm, heavier_kg: float = 0.0) -> Rig:
-    """One engine, or two of one group with half of its inertia and stiffness, of which the second may be heavier."""
+    """A single engine, or two of one group with half its inertia and stiffness, of which the second may be heavier."""
     tree = scenario_of(Parts(core_mass_kg=9e7, core_inertia=tuple(map(tuple, 1e11 * np.eye(3)))))
     stage: Tree = tree["vehicle"]["stage"][0]
     share = 1.0 / count
