@@ -678,7 +678,7 @@ def test_a_part_is_known_by_the_bits_that_it_depends_on(tmp_path: Path) -> None:
     memory = PartsOnDisk(tmp_path)
     for thing in things:
         memory.recall("part", thing, lambda: 7)
-    assert (memory.recalled, memory.worked_out) == (1, len(things) - 1)  # the same float
+    assert (memory.recalled, memory.worked_out) == (0, len(things) - 1)  # the same float, of this computation
     for number in (1.0, math.nextafter(1.0, 2.0)):
         memory.recall("other", number, lambda: 7)
     assert memory.worked_out == len(things) + 1
@@ -752,8 +752,8 @@ def test_memory_gives_back_what_it_was_given(tmp_path: Path) -> None:
         None, True, 3, -0.0, math.inf, "text", (1, [2.0, ()]), {1: "a", "b": (2,)}, 1 + 2j, Path("a/b"), node,
         np.float64(0.1), np.int64(3), np.arange(6.0).reshape(2, 3), np.zeros((0, 2)), np.array([1 + 1e-30j]),
     ]  # fmt: skip  # a table
+    PartsOnDisk(tmp_path).recall("part", 1.0, lambda: things)
     memory = PartsOnDisk(tmp_path)
-    memory.recall("part", 1.0, lambda: things)
     again = memory.recall("part", 1.0, list[Any])
     assert memory.recalled == 1
     for thing, other in zip(things, again, strict=True):
