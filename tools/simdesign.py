@@ -206,7 +206,7 @@ def _optimise(
         return makes[0]().code
     from maxq.tools.verify.run import execute_cases  # noqa: PLC0415  # lazy
 
-    return execute_cases(makes, suite, not no_pictures)
+    return execute_cases(makes, suite, not no_pictures, command.end if command.alone else None)
 
 
 def _analyse(*, no_pictures: bool = False, **given: Any) -> int:

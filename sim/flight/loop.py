@@ -83,7 +83,7 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
     burns = p.timeline.burn_start_ns <= now < p.timeline.burnout_ns + clock.idle_ns and not cut_off
     memory.held.burning = 1 if burns else 0
     if cut_off:  # cutoff in an earlier stage, of which a part has been dropped; the gimbals remain centred
-        clock.stage_burnout_ns[clock.stage] = clock.cut_off_ns
+        clock.stage_burnout_ns[clock.stage] = clock.cut_off_ns + p.timeline.decay_ns
 
 
 @entry

@@ -27,7 +27,7 @@ from maxq.control.kernel.vectors import (
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle import state as states
 from maxq.sim.vehicle.accelerations import accelerate
-from maxq.sim.vehicle.actuator.kernel import Actuator, actuator_motion, actuator_rates
+from maxq.sim.vehicle.actuator.kernel import Actuator, actuator_motion, actuator_rates, resisted_acceleration
 from maxq.sim.vehicle.air.kernel import (
     Aero,
     air_acts,
@@ -59,7 +59,7 @@ from maxq.sim.vehicle.environment import (
     rail_acceleration,
     winds_along_body,
 )
-from maxq.sim.vehicle.faults import N_FAULT_SLOTS
+from maxq.sim.vehicle.faults import ACTUATOR_FAULT, N_FAULT_SLOTS, STUCK
 from maxq.sim.vehicle.modes.planar import (
     Bending,
     Modes,
@@ -206,6 +206,8 @@ def derivative(
         _derivative(vehicle, usual_counts(sizes), environment, pool, held, inputs, at, work)
     else:
         _rigid_derivative(vehicle, environment, pool, held, inputs, at, work)
+    if vehicle.tvc_load.stalls == 1:
+        stall_actuators(vehicle, vehicle.sizes, held, at.y, at.dy, at.aux)
 
 
 @rare_routine
@@ -390,15 +392,13 @@ def _derivative(
     )
 
     rigid.kinematics(environment.earth, fixed, rotation, rate, specific_force, alpha, gravitation, properties, y, dy)
-    load, e, system, at_yaw = vehicle.tvc_load, vehicle.engine, work.system, states.ACTUATOR + states.N_ACTUATOR
-    against = resistance(load, e, sizes, 0, system)
-    actuator_rates(vehicle.actuator_pitch, held.faults, 0, y, states.ACTUATOR, held.command_rad[0], against, dy)
-    against = resistance(load, e, sizes, 1, system)
-    actuator_rates(vehicle.actuator_yaw, held.faults, 1, y, at_yaw, held.command_rad[1], against, dy)
+    actuator_rates(vehicle.actuator_pitch, held.faults, 0, y, states.ACTUATOR, held.command_rad[0], dy)
+    actuator_rates(
+        vehicle.actuator_yaw, held.faults, 1, y, states.ACTUATOR + states.N_ACTUATOR, held.command_rad[1], dy
+    )
     for k in range(2 * sizes.further_groups):
         i = states.actuator_index(sizes, 1) + states.N_ACTUATOR * k
-        against = resistance(load, e, sizes, 2 + k, system)
-        actuator_rates(vehicle.further_actuators[k], held.faults, 2 + k, y, i, held.command_rad[2 + k], against, dy)
+        actuator_rates(vehicle.further_actuators[k], held.faults, 2 + k, y, i, held.command_rad[2 + k], dy)
     bend_y, bend_z = bending_rate_at_gyro(sizes, properties, modes.planar)
     local = (rate[0], rate[1] + bend_y, rate[2] + bend_z)
     if sizes.spatial_modes > 0:
@@ -425,6 +425,24 @@ def _derivative(
     set_vector(aux.specific_force_B_mps2, 0, specific_force)
     set_vector(aux.alpha_BI_B_radps2, 0, alpha)
     aux.gyro_bending_radps[0], aux.gyro_bending_radps[1] = bend_y, bend_z
+
+
+@rare_routine
+def stall_actuators(vehicle: StageRecord, of: Sizes, held: Held, y: Array, dy: Array, aux: Aux) -> None:
+    """Write the accelerations of the servos against the torques of their engines."""
+    sizes = counts(of)
+    loads = states.tvc_load_index(sizes)
+    for channel in range(2 + 2 * sizes.further_groups):
+        against = resistance(vehicle.tvc_load, vehicle.engine, sizes, channel, y, loads, held.faults, aux.tvc_loads)
+        if against == 0.0 or held.faults[ACTUATOR_FAULT + channel] == STUCK:
+            continue
+        a, i = vehicle.actuator_pitch, states.ACTUATOR + states.N_ACTUATOR * channel
+        if channel == 1:
+            a = vehicle.actuator_yaw
+        if channel > 1:
+            a, i = vehicle.further_actuators[channel - 2], i - 2 * states.N_ACTUATOR - states.ACTUATOR
+            i += states.actuator_index(sizes, 1)
+        dy[i + 1] = resisted_acceleration(a, held.faults, channel, y, i, held.command_rad[channel], against)
 
 
 @kernel
