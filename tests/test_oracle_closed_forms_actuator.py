@@ -17,7 +17,7 @@ from scipy.signal import tf2ss
 
 from maxq.control.kernel.records import Array
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle.tvc_load.kernel import hinge_moment
+from maxq.sim.vehicle.tvc_load.kernel import link_moment
 
 STEP_DEG = 2.0
 EFFECT_S = 0.013  # first sample after 10 ms, plus 3 ms of computing
@@ -258,17 +258,11 @@ def test_describing_function_of_the_backlash(share: float) -> None:
 
 def test_play_of_a_tvc_load_is_a_gap_of_its_spring() -> None:
     """Moment on the hinge over the deflection: none in the gap, then the spring; the damper never pulls."""
-    load = SimpleNamespace(
-        friction_Nm=[0.0],
-        stiffness_Nmprad=[1e5],
-        bearing_Nmprad=[0.0],
-        damping_Nmsprad=[300.0],
-        stop_stiffness_Nmprad=[0.0],
-    )
-    at = getattr(hinge_moment, "py_func", hinge_moment)
+    load = SimpleNamespace(stiffness_Nmprad=[1e5], damping_Nmsprad=[300.0])
+    at = getattr(link_moment, "py_func", link_moment)
 
     def moment(deflection: float, rate: float) -> float:
-        return float(at(load, 0, np.array([0.02 + deflection, rate, 0.0]), 0, 0.02, 0.0, math.inf, 0.004, 0))
+        return -float(at(load, 0, np.array([0.02 + deflection, rate, 0.0]), 0, 0.02, 0.0, 0.004))
 
     for side in (1.0, -1.0):
         assert moment(side * 0.0019, side * 1.0) == 0.0

@@ -235,7 +235,7 @@ def test_a_wrong_part_is_refused_before_anything_is_flown(
     design, suite = str(petrel.folder() / "design.toml"), str(petrel.folder() / "suite.toml")
     code, _, err = _run(capsys, design, "--suite", suite, "--only", "pitch gyro dead for 0.2 s, third")
     assert code == 2
-    assert "attitude transient, second, fairing off, " in err
+    assert ", second, fairing off, " in err  # parts of each stage
     with pytest.raises(pytest.fail.Exception):
         _run(capsys, design, "--suite", suite, "--only", "pitch gyro dead for 0.2 s, second")
 
