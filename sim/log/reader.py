@@ -415,7 +415,7 @@ def _decompressed(chunk: Chunk) -> bytes:
             raise DamagedError("its size does not match")
         return zstandard.decompress(chunk.data, max_output_size=size)
     if chunk.compression == "lz4":
-        from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415  # lazy: maxq writes zstd; lz4 is installed with mcap
+        from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415  # lazy: maxq writes zstd; mcap installs lz4
 
         return bytes(LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1))
     raise DamagedError(f"its compression {chunk.compression!r} is not known")
