@@ -1,8 +1,8 @@
 """The transfer of modal motion at a separation to the remaining part of the vehicle.
 
 Displacements and velocities of the remaining part's bent axis are approximated by a rigid motion and the modes of this
-part, in the sense of least squares weighted with its masses (docs/model.md, section 4). The transfer is linear in the
-modal displacements, so that a matrix describes each separation.
+part. The approximation is that of least squares, weighted with the masses of the part (docs/model.md, section 4). The
+transfer is linear in the modal displacements, so that a matrix describes each separation.
 """
 
 from __future__ import annotations
