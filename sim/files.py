@@ -1,4 +1,4 @@
-"""The output of files, which are written completely or not at all; a failure is reported in one line.
+"""The output of files, which are written completely or not at all, with one-line messages of failures.
 
 write_whole(folder / "summary.json", text)
 with whole_file(folder / "gains.svg") as part:

@@ -85,7 +85,7 @@ class Judged:
 
     @property
     def utilisation(self) -> float:
-        """Return the utilisation of the limit in the worst run; nan without one, or for a limit of 0 or less."""
+        """Return the utilisation of the limit in the worst run; nan without a worst run or for a limit of 0 or less."""
         return utilisation(self.worst[0].value, self.kind, self.bound) if self.worst else math.nan
 
     @property
@@ -114,7 +114,7 @@ def tightest_first(verdicts: Iterable[Judged]) -> list[Judged]:
 
 @dataclass(frozen=True)
 class Lost:
-    """A run without usable metrics, or one that lost control."""
+    """A run that lost control, failed, or has no usable metrics."""
 
     run: int
     outcome: str
@@ -229,7 +229,7 @@ def _numbers(column: Any) -> Array:
 
 
 def requirements_of(campaign: LoadedCampaign) -> list[tuple[str, RequirementSection | None]]:
-    """Return the names and requirements of a campaign: first CONTROL_KEPT with None, then those of the scenario."""
+    """Return the names and requirements of a campaign: CONTROL_KEPT with None, then the scenario's requirements."""
     return [(CONTROL_KEPT, None), *((r.name or r.metric, r) for r in campaign.base.scenario.requirement)]
 
 

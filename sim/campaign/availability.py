@@ -48,7 +48,7 @@ class Month:
 
 
 def availability(data: DataSet) -> list[Month]:
-    """Return the availability of each month that has a run among those before the first gap.
+    """Return the availability of each month with runs, from the runs before the first gap.
 
     The result is empty for a campaign without months. Runs whose wind has no date are omitted.
     """

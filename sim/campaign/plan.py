@@ -261,7 +261,7 @@ class Plan:
         return results
 
     def _single(self, d: Draw, run: int, attempt: int) -> np.ndarray:
-        """Return a repeated draw (1,); for a correlated draw, the whole group receives new scores."""
+        """Return a repeated draw (1,), with new scores for all draws that are correlated with it."""
         group = [other for other in self.draws if other.entry == d.entry] if d.group is not None else [d]
         together = d.name in self.correlation[0]
         group = [other for other in self.draws if other.name in self.correlation[0]] if together else group

@@ -244,7 +244,7 @@ _NUMBERS = {pa.float64(): "f8", pa.int64(): "i8", pa.int32(): "i4", pa.bool_(): 
 
 
 def input_types(campaign: LoadedCampaign) -> dict[str, pa.DataType]:
-    """Return the types of the columns of the draws, by name: those of [[disperse]], then noise and wind."""
+    """Return the types of the columns of all draws, by name: [[disperse]], then noise and wind."""
     plan = campaign.plan
     out = {d.name: pa.string() if d.is_text else pa.float64() for d in plan.draws}
     if plan.own_noise:

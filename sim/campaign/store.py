@@ -245,7 +245,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def simulator() -> dict[str, str]:
-    """Return the versions on which the bits of a flight depend."""
+    """Return the hash of the kernels and the versions on which the bits of a flight depend."""
     return {"kernels": source_hash(), **versions()}
 
 

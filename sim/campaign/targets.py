@@ -155,7 +155,7 @@ def _column(scenario: Scenario, key: str, path: list[str | int], table: CsvTable
 
 @dataclass(frozen=True)
 class TargetChange:
-    """The change of a target by the draw named `draw`, for a column in the rows that match `where`."""
+    """The change of a target by the draw named `draw`. Of a column, only the rows that match `where` are changed."""
 
     target: Target
     apply: Apply
@@ -164,7 +164,7 @@ class TargetChange:
 
 
 class Dispersed:
-    """The function that returns the scenario of a run, equal to one loaded from a file with the changed values."""
+    """The function that returns the scenario of a run, as if it were loaded from a file with the changed values."""
 
     def __init__(self, scenario: Scenario, changes: Iterable[TargetChange]) -> None:
         self._scenario = scenario

@@ -1,4 +1,4 @@
-"""The reader of a flight's log, including a truncated or damaged one, into arrays.
+"""The reader of a flight's log into arrays, also of a truncated or damaged log.
 
 The `mcap` package parses records. Its readers stop at the first flaw of a file and return messages individually. This
 module finds the records in a damaged file, and reads the messages of a chunk as arrays. The writer of maxq keeps the

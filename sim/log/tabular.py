@@ -92,7 +92,7 @@ class Tabular(ABC):
         return Path(path)
 
     def channels_in(self, names: Sequence[str]) -> list[str]:
-        """Return the channels in `names` and those of the topics in it, each once. Raises KeyError."""
+        """Return the names of channels for names of channels and topics, without repetition. Raises KeyError."""
         known = {topic.name: [channel.name for channel in topic.channels] for topic in self.table.topics}
         for name in names:
             if name not in known and name not in self.table:

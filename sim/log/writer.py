@@ -117,8 +117,8 @@ class LogWriter:
         """Append samples, events and frames, in a chunk for each second of simulated time.
 
         `groups` contains, for each rate group, times (n,) in ns and values (n, columns of the group) with columns in
-        the order of the table. Times start at or after 0 and do not decrease; those of a group do not decrease from
-        call to call either. `frames` are written to /tf, and `events` to /events.
+        the order of the table. Times start at or after 0 and do not decrease; the times of a group also do not decrease
+        from call to call. `frames` are written to /tf, and `events` to /events.
 
         Raises ValueError for arrays that do not match the table, and LogError if the file cannot be written.
         """

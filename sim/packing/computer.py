@@ -146,7 +146,7 @@ def _gains(gains: GainsSection) -> Cubics:
 
 
 def gain_schedules(gains: GainsSection) -> tuple[GainSchedule, GainSchedule]:
-    """Return the gains in pitch and in yaw, which are one object if yaw uses the gains of pitch."""
+    """Return the gains in pitch and in yaw, which are the same object if yaw uses the gains of pitch."""
     pitch, yaw = gains.axes
     names = [name for name in GainSchedule.__dataclass_fields__ if name in pitch]
 

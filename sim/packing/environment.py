@@ -106,8 +106,8 @@ def _to_the_ground(
 ) -> tuple[Array, Array]:
     """Return the profile with rows of a shear law below its lowest level or below the measured ground wind.
 
-    `altitude_m` (n,) and `columns` (n, 3), the wind components north, east and down in m/s, are those of the profile.
-    `ground_m` is the altitude of the site. The result has the same form.
+    The profile consists of `altitude_m` (n,) and `columns` (n, 3), the wind components north, east and down, m/s.
+    `ground_m` is the altitude of the site. The result has the form of the profile.
     """
     height, lowest = altitude_m - ground_m, shear.height_m
     if shear.speed_mps is not None and shear.from_deg is not None:

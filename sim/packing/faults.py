@@ -32,9 +32,10 @@ _AXIS = {"roll": 0, "pitch": 1, "yaw": 2, "x": 0, "y": 1, "z": 2}
 
 
 class Write(NamedTuple):
-    """A write into a slot: `value`, or the state with index `state` at the beginning of the fault unless it is -1.
+    """A write into a slot of the fault array.
 
-    Indices from -2 downwards are those of the states of sensors other than the first gyro.
+    `value` is written if `state` is -1. Otherwise, the state with the index `state` at the beginning of the fault is
+    written. Indices of -2 and less denote states of sensors other than the first gyro.
     """
 
     slot: int

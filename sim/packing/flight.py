@@ -68,7 +68,7 @@ _counts = attrgetter(*(f.name for f in fields(Sizes) if f.init))
 
 
 def pack_flight(scenario: Scenario) -> Packed:
-    """Return everything that the kernel needs for a flight, in a form for which all vehicles share one kernel."""
+    """Return the packed flight of a scenario, for the compiled kernels that all vehicles share."""
     pool = Pool()
     environment, computers = pack_environment(scenario, pool), pack_computers(scenario, pool)
     injections, faults, navigation = pack_injections(scenario, pool), pack_faults(scenario), pack_navigation(scenario)

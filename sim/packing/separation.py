@@ -56,8 +56,8 @@ def part_at(stage: Stage, burn: Burn, sizes: Sizes, time_s: float) -> StageModes
 def modal_transfer(before: StageModes, after: StageModes, mass_kg: float, gyration_m2: float) -> Array:
     """Return the matrix (RIGID + modes after, modes before) from old modes to rigid motion and new modes.
 
-    The weights are the masses between the stations of the new modes. Without new modes, they are those of the old modes
-    forward of the station at which the mass forward is `mass_kg`. `gyration_m2` is the roll inertia per mass.
+    The weights are the masses of the new modes. Without new modes, they are the masses of the old modes forward of the
+    station at which the cumulative mass from the nose is `mass_kg`. `gyration_m2` is the roll inertia per mass, m2.
     """
     points, mass = _masses(before, after, mass_kg)
     old, new = _shapes(before, points), _shapes(after, points)

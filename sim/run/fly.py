@@ -261,7 +261,7 @@ class FlightRun:
         return 0 < clock.cut_off_ns <= clock.now_ns and clock.restarts + 1 < burns.count
 
     def _broken_waves(self, clock: Clock) -> list[Event]:
-        """Return the event of the first breaking wave of each slosh mode with one, for the stages so far."""
+        """Return the first breaking of a wave, for each slosh mode in which it has occurred, in the stages so far."""
         found = []
         broken_ns = self.packed.memory["waves"]["broke_ns"][0].tolist()
         for index, stage in enumerate(self.loaded.vehicle.stage[: clock.stage + 1]):

@@ -105,7 +105,7 @@ class Worker:
             oldest.end()
 
     def end(self) -> None:
-        """End the process."""
+        """Close the connection, which ends the process."""
         _lines.discard(self._line)
         self._line.close()
         if self._pid > 0:

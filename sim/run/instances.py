@@ -306,7 +306,7 @@ class _Remote(_InPython):
 
 
 def described(error: BaseException) -> str:
-    """Return the description of an exception in flight code in one line, with its file and line."""
+    """Return a one-line description of an exception in flight code, with its file and line."""
     trace, at = error.__traceback__, ""
     while trace is not None:
         file = trace.tb_frame.f_code.co_filename

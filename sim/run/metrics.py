@@ -43,7 +43,7 @@ ATTITUDE_METRICS = (  # metrics of controlled vehicles
 
 
 def judged_requirements(scenario: Scenario) -> tuple[RequirementSection, ...]:
-    """Return the requirements on which a flight is judged, without those on attitude errors if there is no control."""
+    """Return the requirements on a flight; without control, requirements on attitude errors are omitted."""
     controlled = scenario.design is not None and scenario.vehicle.computer is not None
     return tuple(r for r in scenario.requirement if controlled or r.metric not in ATTITUDE_METRICS)
 
@@ -167,7 +167,7 @@ class SectionExtreme:
 def section_extremes(parameters: Records, sections: SectionLoads) -> tuple[SectionExtreme, ...]:
     """Return all extremes of a flight's section loads in the order of stages, stations and kinds.
 
-    `parameters` (stages,) are those of all stages.
+    `parameters` (stages,) is of Parameters.
     """
     out = []
     for stage, p in enumerate(parameters):

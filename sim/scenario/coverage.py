@@ -1,4 +1,4 @@
-"""Checks that tables over time cover the powered flight."""
+"""The checks that tables over time cover the powered flight."""
 
 from __future__ import annotations
 

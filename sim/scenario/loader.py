@@ -96,13 +96,13 @@ class LoadedScenario:
 
     @cached_property
     def as_flown(self) -> str:
-        """Return the scenario as one self-contained TOML text, from which `load_scenario_text` reads an equal one."""
+        """Return the scenario as a self-contained TOML text, which `load_scenario_text` converts back."""
         return to_toml(self.scenario)
 
     def telling(self, overrides: Iterable[str]) -> LoadedScenario:
         """Return the scenario with the user's overrides added to its description, which they make incorrect.
 
-        An empty description remains empty, and one that is itself overridden is unchanged.
+        The scenario is unchanged if its description is empty or is itself overridden.
         """
         about, told = self.scenario.description.rstrip(), [text for text in overrides if not text.startswith("name=")]
         if not about or not told or any(text.startswith("description=") for text in told):
@@ -206,7 +206,7 @@ def _scenario(reading: Reading, tree: TomlTable, label: str, name: str) -> Loade
 
 
 def _refuse_foreign_design(tree: TomlTable) -> None:
-    """Reject a design for another vehicle than the one that flies, unless the command line sets the vehicle."""
+    """Reject a design that was made for another vehicle, unless the command line sets the vehicle."""
     design, vehicle = tree.get("design"), tree.get("vehicle")
     if not isinstance(design, TomlTable) or not isinstance(vehicle, TomlTable):
         return
@@ -266,7 +266,8 @@ def copy_scenario(name: str, folder: str | Path) -> Path:
     """Copy the built-in scenario or campaign `name` with all its files into `folder`, and return its copy.
 
     The copies keep their relative paths, so that references between them remain valid. Raises ScenarioError if there is
-    no such scenario, if a file cannot be written, or if one would be overwritten, in which case no file is copied.
+    no such scenario, or if a file cannot be written. If a file would be overwritten, it is raised before any file is
+    copied.
     """
     known = builtin_files("scenario") | builtin_files("campaign")
     if name not in known:
@@ -314,7 +315,7 @@ def told(value: Any) -> Any:
 
 
 def _toml_lines(table: dict[str, Any], path: tuple[str, ...]) -> Iterator[str]:
-    """Yield the lines of values first, then those of tables, because TOML allows no values of `path` after a header."""
+    """Yield the lines of a table at `path`, with values first, because values after a header belong to its subtable."""
     below: list[tuple[str, str, dict[str, Any]]] = []
     for key, value in table.items():
         name = key if key.isascii() and key.replace("_", "").replace("-", "").isalnum() else _toml_value(key)

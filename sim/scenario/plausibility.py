@@ -207,7 +207,9 @@ def _lift(stage: Stage) -> tuple[Array, Array] | None:
 
 
 def _liquids(stage: Stage) -> Iterator[Implausible]:
-    """Yield lightly damped liquids between CG and centre of percussion, where an attitude loop destabilises them.
+    """Yield the damping ratios of lightly damped liquids that an attitude loop destabilises.
+
+    They are between the CG and the centre of percussion.
 
     Source: Greensite, Analysis and Design of Space Vehicle Flight Control Systems, vol. 1, section 3. The centre of
     percussion of a body with a lateral force at its gimbal, l aft of the CG, is I / (m l) ahead of the CG.

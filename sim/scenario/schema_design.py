@@ -338,7 +338,7 @@ class StageLaw(Section):
 
 
 class Design(Section):
-    """The control design, a file in designs/."""
+    """The control design, given by a file in designs/."""
 
     renamed: ClassVar[dict[str, str]] = RENAMED
 
@@ -403,7 +403,7 @@ class Design(Section):
 
     @property
     def gain_names(self) -> tuple[str, ...]:
-        """Return the columns of the gain tables."""
+        """Return the names of the gains in the gain tables."""
         return GAINS[self.law]
 
     @property

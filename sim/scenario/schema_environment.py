@@ -72,7 +72,7 @@ class EarthSection(Section):
 
 
 class AtmosphereSection(Section):
-    """The air at rest relative to the Earth."""
+    """The atmosphere at rest relative to the Earth."""
 
     model: Literal["us1976", "table", "constant", "vacuum"] = optional(
         "us1976: US Standard Atmosphere 1976, -5 to 1000 km (no air above); vacuum: no air", "us1976"
@@ -116,7 +116,7 @@ class Gust(Section):
 
 
 class TurbulenceSection(Section):
-    """The random wind."""
+    """The turbulence, a random wind in addition to the mean wind."""
 
     model: Literal["dryden", "von-karman", "spectrum"] = optional(
         "dryden, von-karman: spectra of MIL-F-8785C along the path; spectrum: that of the horizontal wind over "

@@ -126,7 +126,7 @@ class Fault(Section):
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Return the axes that fail."""
+        """Return the failed axes; empty for a part without axes."""
         return KINDS[self.kind].axes if self.axis is None else (self.axis,)
 
     @property

@@ -216,7 +216,7 @@ class Run(Section):
 
 
 class Guidance(Section):
-    """The commanded body rates over time."""
+    """The commanded body rates over time, and the targets of the last engine's burns."""
 
     programme: Annotated[CsvTable, PROGRAMME_COLUMNS] | None = optional(
         "commanded rates over the vehicle clock (default: zero)"

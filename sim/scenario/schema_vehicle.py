@@ -231,8 +231,8 @@ class Stage(Section):
     def mass_over_time(self) -> tuple[np.ndarray, np.ndarray]:
         """Return times (n,), s, and the vehicle's mass properties (n, 10), linear between the rows of nominal tables.
 
-        The times are those of the tables' clock, or with boosters of the stage clock. A row contains mass, kg, CG
-        station, y and z, m, and the integrals Ixx, Iyy, Izz, Ixy, Ixz, Iyz of inertia, kg m2.
+        The times are on the clock of the tables, or on the stage clock if there are boosters. A row contains mass (kg),
+        CG station, y and z (m), and the inertia integrals Ixx, Iyy, Izz, Ixy, Ixz, Iyz (kg m2).
         """
         own = self.mass.rows(self.ignition_s)
         if not self.booster:
@@ -282,7 +282,7 @@ class Stage(Section):
         return ("booster", b - 1, "tank", number) if b > 0 else ("tank", number)
 
     def counted_key(self, key: str) -> str:
-        """Return a key path of the stage with the engines and tanks of boosters numbered after those of the core."""
+        """Return a key path of the stage with engines and tanks of boosters numbered after the parts of the core."""
         found = _OF_BOOSTER.fullmatch(key)
         if found is None:
             return key
@@ -509,7 +509,7 @@ class Stage(Section):
 
 
 class Vehicle(Section):
-    """The vehicle, a file vehicle.toml."""
+    """The vehicle, given by a file vehicle.toml."""
 
     schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
     name: str = optional("name of the vehicle", "")

@@ -1,4 +1,4 @@
-"""The reader of wind soundings in the formats of weather services, for every key that names a wind profile.
+"""The reader of wind soundings in the formats of weather services, which any key for a wind profile accepts.
 
 The format is detected from the content:
 - University of Wyoming: the text list (also inside its HTML page) and the CSV file.

@@ -69,7 +69,7 @@ def _upgraded(
 
 
 def _below(section: type[Section] | None, key: str) -> type[Section] | None:
-    """Return the section at a key, also for a key `<part>_overrides`; None if the key holds no section."""
+    """Return the section of a key or of a key `<part>_overrides`; None if it has no section."""
     if section is None:
         return None
     fields = {field.alias or name: field for name, field in section.model_fields.items()}
