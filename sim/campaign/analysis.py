@@ -128,7 +128,7 @@ class DataSet:
 
     folder: Path
     campaign: LoadedCampaign
-    limit: int | None = None  # only runs below this
+    limit: int | None = None  # runs below this number only
     _kept: dict[str, Array] = field(default_factory=dict)
 
     def __repr__(self) -> str:

@@ -30,7 +30,7 @@ REFUSED, ERROR = "refused", "error"
 """The outcomes in addition to those of a flight: draws that give no valid scenario, and an error of this program."""
 VOID = (DIVERGED_NAME, SOFTWARE_NAME, REFUSED, ERROR)
 """The outcomes without usable metrics. A run with such an outcome misses every requirement."""
-OWN_KERNELS_FROM = 500  # runs
+OWN_KERNELS_FROM = 500  # number of runs
 TIME_OF = "{}.time_s"
 """The name of the column with the time of a metric."""
 

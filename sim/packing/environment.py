@@ -114,7 +114,7 @@ def _to_the_ground(
         kept = height > lowest
         reference = winds.wind_components(shear.speed_mps, shear.from_deg)[0]
     else:
-        first = min(int(np.searchsorted(height, 0.0)), len(height) - 1)  # levels below the ground do not count
+        first = min(int(np.searchsorted(height, 0.0)), len(height) - 1)  # levels below the ground are ignored
         lowest, reference = max(lowest, float(height[first])), columns[first]
         kept = height > lowest
     below = lowest * _SHEAR_ROWS

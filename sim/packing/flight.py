@@ -155,7 +155,8 @@ def _handed_on(stages: Sequence[Stage], burns: Sequence[Burn], sizes: Sequence[S
         return NONE
     at_s = burns[n - 1].end_s if stages[n].clock == "preceding" else 0.0
     after, (mass_kg, *_, roll_kgm2) = part_at(stages[n], burns[n], sizes[n], at_s), mass_at(stages[n], burns[n], at_s)
-    known, twist = any(after.sets), before.spatial or after.spatial  # 0 without effect, for the cache
+    # arguments without effect are 0, so that the runs of a campaign use the cached matrix
+    known, twist = any(after.sets), before.spatial or after.spatial
     transfer = modal_transfer(before, after, 0.0 if known else mass_kg, roll_kgm2 / mass_kg if twist else 0.0)
     return pool.put(transfer)
 

@@ -81,7 +81,7 @@ def _masses(before: StageModes, after: StageModes, mass_kg: float) -> tuple[Arra
         x, forward = np.append(x[x < cut_m], cut_m), np.append(forward[x < cut_m], mass_kg)
     points, weights = gauss(x)
     lengths, between = np.diff(x), np.maximum(np.diff(forward), 0.0)
-    density = between / lengths if between.any() else np.ones(len(lengths))  # the masses are unknown
+    density = between / lengths if between.any() else np.ones(len(lengths))  # equal weights for unknown masses
     return points, weights * np.tile(density, len(points) // len(lengths))
 
 

@@ -24,7 +24,7 @@ class Space:
     rate: Annotated[Array, (MAX_STATE,)]
     work: Work
     aux: Aux
-    columns: Annotated[Array, (MAX_LOAD_COLUMNS,)]  # of the section loads
+    columns: Annotated[Array, (MAX_LOAD_COLUMNS,)]  # columns of section loads
 
 
 class Instant(NamedTuple):

@@ -143,7 +143,7 @@ def value_at(tree: Any, path: Path) -> Any:
     return tree
 
 
-# allowed values of a field in words, for errors and docs/scenario.md
+# the allowed values of a field in words, for errors and docs/reference/
 
 _BOUNDS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
 _LONG_INTEGER = 2**62

@@ -261,7 +261,7 @@ def _sampling(scenario: Scenario) -> Iterator[Implausible]:
 
 
 def _lift_off(stage: Stage) -> Iterator[Implausible]:
-    """Yield a thrust that never exceeds the weight of a vehicle that is held down until it does."""
+    """Yield the largest thrust if it is below the weight, for a vehicle that is released when thrust exceeds weight."""
     thrust = sum(engine.thrust_factor * float(engine.table["thrust_vacuum_N"].max()) for engine in stage.engines)
     kg = stage.mass.mass_kg if stage.mass.table is None else float(stage.mass.table["mass_kg"].min())
     if stage.engines and thrust < _G * (kg or 0.0):

@@ -394,7 +394,7 @@ class Design(Section):
         if self.law not in RELIEF and any(given.acceleration is not None for given in loops):
             allowed = f"law = {' or '.join(map(repr, RELIEF))}"
             raise refuse(f"the law {self.law} takes no acceleration", allowed, ("loop_filters", "acceleration"))
-        for n in range(len(self.stage) + 1):  # the last one: of a stage without keys
+        for n in range(len(self.stage) + 1):  # the last n is that of a stage without keys
             own = self.of_stage(n)
             if own.filter.schedule and own.filter.schedule[0].over != own.gains.over:
                 mine = n < len(self.stage) and self.stage[n].filter is not None

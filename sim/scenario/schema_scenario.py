@@ -522,7 +522,7 @@ class Scenario(Section):
             if fault.gyro is not None and fault.gyro > gyros:
                 allowed = f"1 .. {gyros}: [stage.gyro], then each [[stage.rate_gyro]]"
                 raise refuse("the vehicle has no such gyro", allowed, ("fault", n, "gyro"))
-            ideal = self.switches.gyro == "ideal" and part == "accelerometer"  # the switch is that of all sensors
+            ideal = self.switches.gyro == "ideal" and part == "accelerometer"  # this switch applies to all sensors
             if ideal or getattr(self.switches, part, "") == "ideal":
                 switch = "gyro" if ideal else part
                 raise refuse(f"an ideal {part} cannot fail", f"switches.{switch} = 'full'", ("fault", n, "kind"))

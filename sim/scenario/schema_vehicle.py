@@ -556,7 +556,7 @@ class Vehicle(Section):
         leave = self.stage[n - 1].leaving(stage) if n > 0 else ()
         mine, kept = list(stage.counts), list(self.stage[n - 1].without(leave).counts) if n > 0 else []
         if leave:
-            mine[2:5] = kept[2:5]  # modes of another configuration
+            mine[2:5] = kept[2:5]  # the modes belong to another configuration
             if stage.clock == "own":
                 problem = "boosters leave, and the core burns on"
                 raise refuse(problem, '"preceding"', ("stage", n, "clock"), value=stage.clock)

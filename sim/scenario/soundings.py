@@ -92,7 +92,7 @@ def quantity(name: str, shown: str = "") -> tuple[str, float] | None:
 
 class Sounding(NamedTuple):
     levels: list[SoundingLevel]
-    date: str  # as `CsvTable.date`
+    date: str  # in the form of `CsvTable.date`
 
 
 def soundings(text: str, native: Iterable[str] = (), shown: str = "") -> list[Sounding]:

@@ -117,7 +117,7 @@ def upgraded_text(text: str, section: type[Section], source: Source) -> tuple[st
         return text, changes
     names = dict(_renamed(section, set()))
     obsolete = _any_of(name for name, new in names.items() if not new)
-    kept = re.sub(rf"^[ \t]*(?:[\w-]+\.)*{obsolete}\s*=.*\n?", "", text, flags=re.MULTILINE)  # on lines of their own
+    kept = re.sub(rf"^[ \t]*(?:[\w-]+\.)*{obsolete}\s*=.*\n?", "", text, flags=re.MULTILINE)  # on separate lines
     kept = re.sub(rf"(?<=[{{,])\s*{obsolete}\s*=[^,}}\n]*(?:,|(?=\}}))", "", kept)  # in tables on one line
     kept = re.sub(rf"""(["'])(?:[\w-]+\.)*{obsolete}\1\s*,?\s*""", "", kept)  # in `unset`
     in_paths = re.compile(rf"""(?<=["'.]){_any_of(names)}(?=(?:\.[\w-]+)*["'])""")
