@@ -87,6 +87,7 @@ class BurnsState:
     - `began_s`: time of the last ignition; in a coast, of the last cutoff.
     - `last`, `last_s`: quantity of the cutoff at the last sample, and the time of that sample.
     - `settling_N`: current settling thrust.
+    - `depleted`: 1 after the propellant is exhausted, when thrust reaches no quantity any more.
     """
 
     number: int
@@ -97,6 +98,7 @@ class BurnsState:
     last: float
     last_s: float
     settling_N: float
+    depleted: int
 
 
 @kernel
@@ -104,7 +106,7 @@ def start_burns(state: BurnsState) -> None:
     """Set the sequence to its first burn."""
     state.number, state.coasting = 0, 0
     state.cut_off_s, state.ignite_s, state.began_s = math.inf, math.inf, 0.0
-    state.last, state.last_s, state.settling_N = 0.0, -1e300, 0.0
+    state.last, state.last_s, state.settling_N, state.depleted = 0.0, -1e300, 0.0, 0
 
 
 @kernel
@@ -169,7 +171,7 @@ def advance_burns(
             if steers == 1:
                 turn_y, turn_z = steer(burn.orbit, orbit, q_BR, time_s, sample_s)
                 return 1, turn_y, turn_z
-    elif burn.quantity > 0 and time_s >= burns.start_s:
+    elif burn.quantity > 0 and time_s >= burns.start_s and state.depleted == 0:
         watch_quantity(burns, burn, state, orbit, time_s, sample_s)
     if state.number == 0:
         return 0, 0.0, 0.0

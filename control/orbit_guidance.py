@@ -343,9 +343,10 @@ def advance_orbit_guidance(g: OrbitGuidance, state: OrbitGuidanceState, time_s: 
         a_mps2, u = thrust_acceleration(g, state, time_s), direction(state, state.unknowns, time_s)
         power = a_mps2 * vec.dot(u, v)
         growth = a_mps2 * a_mps2 + power * a_mps2 / g.exhaust_mps
+        wanted -= g.lead_s * (power + 0.5 * g.lead_s * a_mps2 * a_mps2)  # from the impulse after the cutoff
+        power += g.lead_s * growth
         left_s = wanted / power if power > 0.0 else 0.0
         left_s = wanted / (power + 0.5 * growth * left_s) if power > 0.0 else 0.0
-        left_s -= g.lead_s
         if left_s < 1.5 * sample_s:
             state.cut_off_s, state.phase = time_s + max(left_s, 0.0), CUT_OFF
     return 1 if state.phase >= STEERING else 0

@@ -99,7 +99,8 @@ def loops() -> Plot:
     ]
     nichols = Panel("Nichols plane", [], "phase, deg", "dB", (-360.0, 0.0), (-40.0, 30.0), plane="nichols")
     nyquist = Panel("Nyquist plane", [], x_range=(-3.0, 3.0), y_range=(-3.0, 3.0), plane="nyquist", equal=True)
-    return Plot("loops", "Loops", [*bode, nichols, nyquist], "A caption.", 2, 180, loops=every, split=3)
+    critical = Panel("near -1", [], "Re L", "Im L", (-1.6, 0.6), (-1.1, 1.1), plane="critical", equal=True)
+    return Plot("loops", "Loops", [*bode, nichols, nyquist, critical], "A caption.", 2, 180, loops=every, split=3)
 
 
 @pytest.fixture
@@ -148,7 +149,7 @@ def test_overlapping_texts_are_found(page: Page, file: Path) -> None:
 
 def test_a_point_tells_its_values_and_its_command_and_a_panel_zooms(page: Page, file: Path) -> None:
     shown(page, file, 1280)
-    panel = "[...document.querySelectorAll('.panel')].find((p) => p.innerText.startsWith('runs'))"
+    panel = "[...document.querySelectorAll('.panel')].find((p) => p.innerText.startsWith('Runs'))"
     value(page, f"{panel}.scrollIntoView()")
     box = f"(({panel}).querySelectorAll('circle')[7].getBoundingClientRect())"
     x, y = (value(page, f"{box}.{side} + {box}.{size} / 2") for side, size in (("left", "width"), ("top", "height")))
@@ -187,12 +188,12 @@ def test_a_slider_chooses_the_loop_of_every_plane(page: Page, file: Path) -> Non
     figure = "document.getElementById('figure-loops')"
     assert value(page, f"{figure}.querySelector('output b').textContent") == "10 s, pitch"
     before = value(page, CURVES)
-    assert len(before) == 5
+    assert len(before) == 6
     value(page, f"{figure}.querySelector('input').focus()")
     key(page, "ArrowRight")
     assert value(page, f"{figure}.querySelector('output b').textContent") == "20 s, pitch"
     after = value(page, CURVES)
-    assert [one != other for one, other in zip(before, after, strict=True)] == [True, False, True, True, True], (
+    assert [one != other for one, other in zip(before, after, strict=True)] == [True, False, True, True, True, True], (
         "the phase of a loop does not depend on its gain"
     )
     key(page, "ArrowLeft")
@@ -231,7 +232,7 @@ def test_panels_of_a_column_are_aligned_and_zoom_together(page: Page, file: Path
 
 def test_a_point_is_reached_by_keyboard(page: Page, file: Path) -> None:
     shown(page, file, 1280)
-    panel = "[...document.querySelectorAll('.panel')].find((p) => p.innerText.startsWith('runs'))"
+    panel = "[...document.querySelectorAll('.panel')].find((p) => p.innerText.startsWith('Runs'))"
     value(page, f"{panel}.querySelector('svg[role=img]').focus()")
     for name in ("ArrowRight", "ArrowRight", "ArrowRight", "Enter"):
         key(page, name)

@@ -15,7 +15,7 @@ from oracles.hand_model import planar_of
 from maxq.control.kernel.records import Array
 from maxq.design.model.node import nodes_along
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.vehicle.modes.packing import ModeShapes
+from maxq.sim.vehicle.modes.shapes import ModeShapes
 
 LENGTH, STIFFNESS, DENSITY, ELEMENTS = 10.0, 4e6, 90.0, 80
 

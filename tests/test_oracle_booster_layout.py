@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import maxq
+from maxq import FlightRun, ScenarioError
 from maxq.control.kernel.tables import table_in
+from maxq.design import operating_points
 from maxq.sim.packing.flight import pack_flight
+from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import schedule as columns
+from maxq.sim.vehicle.loads.kernel import AXIAL
 from maxq.tools.vehicle.beam import ELEMENTS, Beam, RigidLoad
-from maxq.tools.vehicle.build import Built, build, burning
+from maxq.tools.vehicle.build import Built, build, burning, m_delta_1ps2
 from maxq.tools.vehicle.figures import stage_bodies
 from maxq.tools.vehicle.files import write
-from maxq.tools.vehicle.layout import read_layout
+from maxq.tools.vehicle.layout import LayoutNozzles, LoadSections, read_layout
 from maxq.tools.vehicle.masses import Rod
 
 HERON = Path(__file__).parent.parent / "scenarios" / "layouts" / "heron.toml"
@@ -24,8 +30,10 @@ HERON = Path(__file__).parent.parent / "scenarios" / "layouts" / "heron.toml"
 
 @pytest.fixture(scope="module")
 def built() -> Built:
-    """The shipped layout on a gravity turn, which needs no search for an orbit."""
+    """The shipped layout with section loads of its core, on a gravity turn, which needs no search for an orbit."""
     layout = read_layout(HERON)
+    core = layout.stage[0].model_copy(update={"loads": LoadSections(stations_m=(16.0, 20.0, 30.0, 35.0))})
+    layout = layout.model_copy(update={"stage": (core, *layout.stage[1:])})
     turn = layout.trajectory.model_copy(update={"orbit_altitude_m": None, "final_path_angle_deg": 15.0})
     return build(layout.model_copy(update={"trajectory": turn}))
 
@@ -142,6 +150,25 @@ def test_files_fly_the_masses_and_thrusts_of_the_layout(built: Built, tmp_path: 
 
 
 @pytest.mark.slow
+def test_boosters_push_the_core_at_their_aft_attachment(built: Built, tmp_path: Path) -> None:
+    """Axial force in vacuum at 20 s: forward of 33 m the core hangs on the boosters too, behind it on its engine only.
+
+    The masses along the core, with boosters and without, agree with those of the stages, or loading would fail.
+    """
+    write(built, tmp_path)
+    changes = ["switches.section_loads=true", "atmosphere.model=vacuum", "run.stop_at=[]"]
+    run = FlightRun(load_scenario(tmp_path / "scenario.toml", changes), log=False)
+    run.fly_segment(20_000_000_000)
+    now, first = evaluate_at(run.packed, run.packed.state, 20.0), built.stacks[0]
+    accel, core = now.aux.specific_force_B_mps2[0], first.core_properties(20.0).mass_kg
+    behind_35 = 0.5 * 1100.0 + 1400.0
+    behind_30 = 900.0 * 4.0 / 6.5 + 1100.0 + 1400.0 + first.liquids(20.0)[1].mass_kg  # kerosene rests on 33.7 m
+    assert now.sections[3, AXIAL] == pytest.approx(behind_35 * accel - 950e3, rel=1e-3)
+    assert now.sections[2, AXIAL] == pytest.approx(-(core - behind_30) * accel, rel=1e-3)
+    assert now.sections[2, AXIAL] < 1.4 * now.sections[3, AXIAL] < 0.0
+
+
+@pytest.mark.slow
 def test_first_gains_are_below_bending_and_slosh(built: Built, tmp_path: Path) -> None:
     """The rigid body has an eighth of the core's mode 1 at liftoff, and half the slosh frequency above the core.
 
@@ -163,3 +190,41 @@ def test_first_gains_are_below_bending_and_slosh(built: Built, tmp_path: Path) -
     assert section.zero_hz == pytest.approx(np.mean([m[0].frequency_hz for m in built.modes[upper[0]][1]]))
     assert section.pole_hz == pytest.approx(0.15 * section.zero_hz)
     assert [s.pole_hz / s.zero_hz for s in design.of_stage(0).filter.quadratic] == pytest.approx([0.8, 0.8])
+
+
+@pytest.mark.slow
+def test_gimballed_boosters_steer_with_the_core(tmp_path: Path) -> None:
+    """The angular acceleration per command is that of the flown vehicle at 20 s; each group has its own actuator."""
+    layout = read_layout(HERON)
+    (booster,) = layout.stage[0].booster
+    given = booster.engine.model_dump(exclude_unset=True) | {"gimbal": "both", "angle_limit_deg": 5.0}
+    moving = booster.model_copy(update={"engine": LayoutNozzles(**given)})
+    core = layout.stage[0].model_copy(update={"booster": (moving,)})
+    turn = layout.trajectory.model_copy(update={"orbit_altitude_m": None, "final_path_angle_deg": 15.0})
+    built = build(layout.model_copy(update={"stage": (core, *layout.stage[1:]), "trajectory": turn}))
+    write(built, tmp_path)
+    loaded = load_scenario(tmp_path / "scenario.toml")
+    both, alone = loaded.vehicle.stage[:2]
+    assert both.engine_groups == ("", "solid1", "solid2")
+    assert [a.angle_limit_deg for a in both.actuators] == [8.0, 5.0, 5.0]
+    assert [a.angle_limit_deg for a in alone.actuators] == [8.0]
+    (node,) = operating_points.nodes(loaded, [20.0])
+    k = int(np.argmin([abs(p.time_s - 20.0) for p in built.flight.points]))
+    point = built.flight.points[k]
+    assert m_delta_1ps2(built, point) == pytest.approx(abs(node.derivatives.m_delta_1ps2), rel=0.03)
+    first = built.stacks[0]
+    thrusts = first.thrusts_N(20.0, 0.0)
+    cg_m = first.mass_properties(20.0).x_cg_m
+    assert thrusts[1] == pytest.approx(950e3 + (thrusts[0] - 950e3) * (35.5 - cg_m) / (36.0 - cg_m), rel=1e-9)
+    text = tomllib.loads((tmp_path / "campaign.toml").read_text(encoding="utf-8"))
+    assert maxq.load(tmp_path / "campaign.toml").campaign.runs == 100
+    keys = {key for deviation in text["disperse"] for key in deviation.get("keys", ())}
+    assert {f"vehicle.stage.0.actuator.{k}.omega_hz.0" for k in (0, 1, 2)} <= keys
+    assert "vehicle.stage.1.actuator.0.omega_hz.0" in keys
+
+
+def test_keys_of_a_gimbal_without_one_are_refused(tmp_path: Path) -> None:
+    text = HERON.read_text(encoding="utf-8").replace("tail_off_s = 4.0", "tail_off_s = 4.0\nangle_limit_deg = 5.0")
+    (tmp_path / "heron.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"angle_limit_deg = 5\.0: has no meaning here"):
+        read_layout(tmp_path / "heron.toml")

@@ -147,7 +147,7 @@ def test_matrices_of_an_actuator(model: str, act_on: str) -> None:
     for j in range(n):
         y, dy = np.zeros(6), np.zeros(6)
         y[j] = 1e-6
-        _actuator_derivative(a, y, 0, 0.0, 0.0, dy)
+        _actuator_derivative(a, y, 0, 0.0, dy)
         d[:, j] = 1e6 * dy[:n]
     assert kept[: n * n].reshape(n, n) == pytest.approx(d, rel=1e-9, abs=1e-9)
     for got, wanted in zip(functions_of(kept[: n * n].reshape(n, n), 0.0035), expected(d, 0.0035), strict=True):

@@ -1,7 +1,7 @@
 """Errors of navigation against closed forms and equations of one line.
 
-A cutoff is extrapolated over at most 1.5 samples of 10 ms, hence the error of a speed is at most 1.5^2 samples^2 / 2
-times its second derivative; it is zero where the speed grows evenly.
+A cutoff is extrapolated over at most 1.5 samples of 10 ms. The error of a speed is at most 1.5^2 samples^2 / 2 times
+its second derivative, which is zero where the speed grows evenly.
 """
 
 from __future__ import annotations

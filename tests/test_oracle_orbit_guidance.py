@@ -252,7 +252,7 @@ COLD = [f"vehicle.stage.0.engine.{n}.mass_flow_factor=0.98" for n in range(9)]
     "changes",
     [
         (),
-        ("vehicle.stage.1.cutoff_decay_s=3.0",),
+        ("vehicle.stage.2.cutoff_decay_s=3.0",),
         pytest.param((*HOT, "vehicle.stage.0.aero.axial_factor=0.9"), marks=pytest.mark.long),
         pytest.param(
             (*COLD, "vehicle.stage.0.aero.axial_factor=1.1", "atmosphere.density_factor=1.05"), marks=pytest.mark.long

@@ -20,10 +20,11 @@ import pytest
 from flightkit import Tree, load, merged, with_stage
 from scipy.integrate import solve_ivp
 
-from maxq import Flight, ScenarioError
+from maxq import Flight, FlightRun, ScenarioError
 from maxq.control.burns import to_apogee_s
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array
+from maxq.design.model import powered
 from maxq.design.verify.uncovered import uncovered
 from maxq.sim.run.fly import fly
 
@@ -303,3 +304,47 @@ def test_burns_that_cannot_be(changes: Tree, said: str) -> None:
         tree["guidance"]["cutoff"] = {}
     with pytest.raises(ScenarioError, match=said):
         load(tree)
+
+
+def test_settling_thrust_counts_as_an_axial_load() -> None:
+    """20 kN before the second burn, on what the first one left, are more than the 16 kN of the engine after it."""
+    push = {"coast_s": 5.0, "settling_s": 3.0, "settling_thrust_N": 20000.0, "cutoff": {"inertial_speed_mps": 9000.0}}
+    ends = {"cutoff": {"inertial_speed_mps": 7760.0}, "restart": [push]}
+    tree = merged({**TREE, "guidance": ends}, {"run": {"duration_s": 40.0}})
+    flown = fly(load(tree))
+    kg = flown["mass_kg"][coasting(flown)][0]
+    at_s = flown.metric_times_s["max_axial_load_g"]
+    assert flown.event_s("cutoff") < at_s < flown.event_s("restart")
+    assert flown.metrics["max_axial_load_g"] == pytest.approx(20000.0 / kg / 9.80665, rel=1e-9)
+
+
+def test_no_cutoff_is_commanded_after_the_propellant_is_exhausted() -> None:
+    """Falling back towards the Earth, the speed passes the value that the burn did not reach: nothing settles it."""
+    push = {"coast_s": 50.0, "settling_s": 49.0, "settling_thrust_N": 900.0, "cutoff": {"inertial_speed_mps": 9000.0}}
+    low = {"inertial_mps": [1500.0, 3000.0, 0.0]}
+    tree = merged({**TREE, "guidance": {"restart": [push]}}, {"run": {"duration_s": 700.0}, "initial": low})
+    tree["guidance"]["cutoff"] = {"inertial_speed_mps": 5200.0}
+    flown = fly(load(tree))
+    speed = np.linalg.norm(states(flown)[:, 3:], axis=1)
+    end = flown.time_s("mass_kg") > flown.event_s("burnout") + 1.0
+    assert speed[end][0] < 5200.0 < speed[end].max()
+    assert [e.name for e in flown.events if e.name != "apogee"] == ["ignition", "burnout"]
+    still = flown["specific_force_B_x_mps2"][flown.time_s("specific_force_B_x_mps2") > flown.event_s("burnout") + 1.0]
+    assert np.abs(still).max() < 1e-9
+
+
+def test_the_flight_for_operating_points_ends_at_the_first_cutoff(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mission of two burns lasts 3,000 s. Points are those of the first burn, which ends early."""
+    runs, begin = [], powered.flown_run
+
+    def kept(*given: Any) -> FlightRun:
+        runs.append(begin(*given))
+        return runs[-1]
+
+    monkeypatch.setattr(powered, "flown_run", kept)
+    (span,), loss = powered.powered_flight(load(TREE))
+    assert loss is None
+    assert span.begin_s == pytest.approx(flight().event_s("ignition"), abs=1e-9)
+    assert span.end_s == pytest.approx(flight().event_s("cutoff"), abs=1e-6)
+    (run,) = runs
+    assert span.end_s < run.now_s < 0.5 * flight().event_s("restart")

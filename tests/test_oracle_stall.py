@@ -23,25 +23,25 @@ STALL_Nm = (2.0e4, 3.0e4)  # pitch, yaw
 DURATION_s = 0.6
 
 
-def engines(groups: int, stall_Nm: tuple[float, float] = STALL_Nm, **load: float) -> Rig:
-    """A single engine, or two engines with half of its inertia and compliance, equal if they are of one group."""
+def engines(count: int, stall_Nm: tuple[float, float] = STALL_Nm, heavier_kg: float = 0.0) -> Rig:
+    """A single engine, or two of one group with half its inertia and stiffness, of which the second may be heavier."""
     tree = scenario_of(Parts(core_mass_kg=9e7, core_inertia=tuple(map(tuple, 1e11 * np.eye(3)))))
     stage: Tree = tree["vehicle"]["stage"][0]
-    share = 1.0 / groups
+    share = 1.0 / count
     stage["engine"] = [
         {
             "table": [{"time_s": 0.0, "thrust_vacuum_N": 0.0}],
             "gimbal_station_m": 12.0,
             "exit_station_m": 13.0,
             "offset_m": [0.5 * n, 0.0],
-            "gimballed_mass_kg": 200.0 * share,
+            "gimballed_mass_kg": 200.0 * share + heavier_kg * n,
             "cg_from_gimbal_m": 0.5,
             "inertia_about_gimbal_kgm2": INERTIA_kgm2 * share,
         }
-        for n in range(groups)
+        for n in range(count)
     ]
     given = {"stiffness_Nmprad": LINK_Nmprad, "bearing_stiffness_Nmprad": BEARING_Nmprad}
-    stage["tvc_load"] = {key: share * value for key, value in given.items()} | {"damping_ratio": DAMPING} | load
+    stage["tvc_load"] = {key: share * value for key, value in given.items()} | {"damping_ratio": DAMPING}
     stage["actuator"] = {
         "model": "second-order",
         "omega_hz": [HZ],
@@ -83,10 +83,10 @@ def by_scipy(stall_Nm: float, start: float) -> Array:
     return np.concatenate([out[0][:, None], rest], axis=1)
 
 
-@pytest.mark.parametrize("groups", [1, 2])
+@pytest.mark.parametrize("count", [1, 2])
 @pytest.mark.parametrize("start_deg", [0.0, 7.0], ids=["drives", "is driven back"])
-def test_a_stalling_actuator_follows_the_orifice_law(start_deg: float, groups: int) -> None:
-    made, start = engines(groups), math.radians(start_deg)
+def test_a_stalling_actuator_follows_the_orifice_law(start_deg: float, count: int) -> None:
+    made, start = engines(count), math.radians(start_deg)
     loads = int(layout.tvc_load_index(made.sizes))
     for axis, sign in ((0, 1.0), (1, -1.0)):
         made.y[layout.ACTUATOR + layout.N_ACTUATOR * axis] = made.y[loads + 3 * axis] = sign * start
@@ -119,6 +119,19 @@ def test_an_actuator_pushed_along_moves_faster_than_its_limit() -> None:
     limit = math.radians(RATE_degps)
     accel = made.derivative(y)[layout.ACTUATOR + 1]
     assert accel == pytest.approx(-2.0 * ZETA * w * math.sqrt(2.0) * limit, rel=1e-9)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_unlike_engines_resist_their_common_actuators_together(axis: int) -> None:
+    """Two loads of one group, whose springs are stretched by 0.3 and 0.5 of the torque at which one stalls."""
+    made, w = engines(2, heavier_kg=10.0), 2.0 * math.pi * HZ
+    assert int(made.sizes.tvc_loads) == 2
+    made.held.command_rad[axis] = math.radians(40.0)
+    y, loads = made.y.copy(), int(layout.tvc_load_index(made.sizes)) + 3 * axis
+    for n, share in enumerate((0.3, 0.5)):
+        y[loads + 6 * n] = -share * STALL_Nm[axis] / LINK_Nmprad
+    accel = made.derivative(y)[layout.ACTUATOR + layout.N_ACTUATOR * axis + 1]
+    assert accel == pytest.approx(2.0 * ZETA * w * math.sqrt(1.0 - 0.4) * math.radians(RATE_degps), rel=1e-9)
 
 
 def test_a_stall_torque_needs_a_load() -> None:

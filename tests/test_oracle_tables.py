@@ -14,7 +14,7 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import fit, hermite, merge
-from maxq.sim.vehicle.modes.packing import ModeShapes
+from maxq.sim.vehicle.modes.shapes import ModeShapes
 from maxq.sim.vehicle.modes.tables import ModeTable
 
 EPS = float(np.finfo(float).eps)

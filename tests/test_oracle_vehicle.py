@@ -147,9 +147,21 @@ def test_a_beam_held_at_its_tail_is_a_cantilever() -> None:
 
 @pytest.mark.slow
 def test_page_holds_all_pictures(built) -> None:
-    text = page(built)
+    text = page(built, "BUILT: stable first gains", passed=True)
     for name in ("vehicle", "masses", "modes", "aerodynamics", "control", "ascent"):
         assert text.count(f'id="figure-{name}"') == 1
+    assert '<div class="outcome good"><b>BUILT</b><p>Stable first gains.</p></div>' in text
+    facts = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", text))
+    assert {
+        "mass at liftoff": "13.2 t",
+        "length": "19.6 m",
+        "largest diameter of the core": "1.2 m",
+    }.items() <= facts.items()
+    stages = re.findall(r'<th scope="col"(.*?)>(.*?)</th>', text.split("<caption>")[1])
+    assert stages[0] == ("", "stage")
+    assert stages[1] == (' class="n" title="mass at ignition, with all stages above"', "mass at ignition, kg")
+    assert stages[5] == (' class="n" title="delta-v in vacuum, without losses"', "delta-v, m/s")
+    assert "<dt>speed, m/s</dt><dd>speed relative to the Earth at burnout</dd>" in text
     assert "second, fairing off" in text
     assert "clamped at the tail on the pad" in text
     headings = ["Vehicle", "Stages", "Bending modes", "Control", "Assumptions beyond the layout"]
@@ -171,6 +183,52 @@ def test_masses_add_up_and_the_propellant_is_burned(layout: Layout) -> None:
         e, usable = stack.stage.engine, stack.burn.usable_kg
         impulse = float(stack.burn._impulse(stack.burn.end_s))
         assert impulse == pytest.approx(usable * 9.80665 * e.isp_vacuum_s, rel=1e-3)
+
+
+def student_with_side_tanks(folder: Path, places: tuple[tuple[float, float], ...]) -> Layout:
+    """The student rocket, whose ethanol is in two tanks."""
+    text = (Path(__file__).parent / "data" / "layouts" / "student.toml").read_text(encoding="utf-8")
+    (line,) = re.findall(r"    \{ name = \"ethanol\".*\n", text)
+    half = line.replace("16.0", "8.0").replace("residual_kg = 0.5", "residual_kg = 0.25").replace("0.11", "0.078")
+    lines = (
+        half.replace("ethanol", f"ethanol{k}").replace(" }", f", position_m = {list(at)} }}")
+        for k, at in enumerate(places)
+    )
+    file = folder / "student.toml"
+    file.write_text(text.replace(line, "".join(lines)), encoding="utf-8")
+    return read_layout(file)
+
+
+def test_tanks_off_the_axis_add_their_mass_times_squared_distances(tmp_path: Path) -> None:
+    """16 kg at 30 and 70 mm: to roll m (y^2 + z^2), to pitch m z^2, to yaw m y^2; half of it after half of the flow."""
+    beside, on_axis = (
+        stacks(student_with_side_tanks(tmp_path, ((y, -z), (-y, z))))[0] for y, z in ((0.03, 0.07), (0.0, 0.0))
+    )
+    for t in (0.0, 10.0):
+        left = sum(liquid.mass_kg for liquid in beside.liquids(t)[1:])
+        a, b = beside.mass_properties(t), on_axis.mass_properties(t)
+        assert left == pytest.approx(16.0 - 15.5 * beside.burn.used(t), rel=1e-12)
+        assert (a.mass_kg, a.x_cg_m) == (b.mass_kg, b.x_cg_m)
+        assert a.roll_kgm2 - b.roll_kgm2 == pytest.approx(left * (0.03**2 + 0.07**2), rel=1e-9)
+        assert a.pitch_kgm2 - b.pitch_kgm2 == pytest.approx(left * 0.07**2, rel=1e-9)
+        assert a.yaw_kgm2 - b.yaw_kgm2 == pytest.approx(left * 0.03**2, rel=1e-9)
+
+
+def test_files_of_a_vehicle_with_tanks_off_the_axis(tmp_path: Path) -> None:
+    built = build(student_with_side_tanks(tmp_path, ((0.03, -0.07), (-0.03, 0.07))))
+    write(built, tmp_path / "out")
+    (stage,) = load_scenario(tmp_path / "out" / "scenario.toml").vehicle.stage
+    assert [tank.position_m for tank in stage.tank] == [(0.0, 0.0), (0.03, -0.07), (-0.03, 0.07)]
+    wanted, table = built.stacks[0].mass_properties(0.0), stage.mass.table
+    assert table is not None
+    found = [float(table[f"I{axis}_kgm2"][0]) for axis in ("xx", "yy", "zz")]
+    assert found == pytest.approx([wanted.roll_kgm2, wanted.pitch_kgm2, wanted.yaw_kgm2], rel=1e-6)
+    assert found[1] > found[2] + 0.06
+
+
+def test_liquid_off_the_axis_that_does_not_balance_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match=r"tank = 3: liquid_mass_kg off the axis has the moments 0.48 and 0 kg m"):
+        student_with_side_tanks(tmp_path, ((0.03, -0.07), (0.03, 0.07)))
 
 
 def test_cg_and_inertia_are_the_integrals_over_slices(layout: Layout) -> None:

@@ -16,7 +16,8 @@ from maxq import LoadedScenario, ScenarioError
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.sim.vehicle.engine.packing import Mount
 from maxq.sim.vehicle.modes.nastran import read_nastran, spatial_columns
-from maxq.sim.vehicle.modes.packing import ModeShapes, _softening_up_to
+from maxq.sim.vehicle.modes.packing import _softening_up_to
+from maxq.sim.vehicle.modes.shapes import ModeShapes
 
 DATA = Path(__file__).parent / "data" / "nastran"
 FREQUENCIES_HZ = (9.0, 9.45, 24.80885, 26.04929, 60.0, 70.0)

@@ -70,6 +70,20 @@ def test_a_missed_requirement_comes_first_with_its_numbers(tmp_path: Path, capsy
     assert any(re.match(r"next: simrun refly \S+ --run \d+$", line) for line in lines)
     at = lines.index("requirements")
     assert lines[at + 2].split()[:2] == ["speed", "missed"]
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    worst = [
+        re.findall("<td.*?>(.*?)</td>", row, re.DOTALL) for row in page.split("Worst flights</h2>")[1].split("<tr>")[2:]
+    ]
+    assert [row[0] for row in worst[:4]] == ["speed", "", "", "pressure"], (
+        "three that miss, and the worst that does not"
+    )
+    values = [float(row[1].removesuffix(" m/s")) for row in worst[:3]]
+    assert values == sorted(values, reverse=True)
+    assert values[2] > 1.0
+    assert f"<span>--run</span> {worst[0][2]}</code>" in worst[0][4]
+    assert page.count('class="n bad">') == 3
+    assert '<td class="n used bad" style="--used:' in page
+    assert "<dt>campaign</dt>" not in page, "it is the title"
 
 
 def test_the_first_campaign_of_a_newcomer_ends_settled() -> None:

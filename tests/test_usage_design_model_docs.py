@@ -12,6 +12,7 @@ from design_nodes import design, flown, node_at
 import maxq
 from maxq.tools.dev.documents import departure_table
 from maxq.tools.dev.documents.departure_table import table_text
+from maxq.tools.dev.documents.derivatives_table import table_text as derivatives_text
 
 compare = functools.cache(departure_table.compare)
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -32,6 +33,17 @@ def test_departure_page_is_up_to_date() -> None:
     ours, page = (re.findall(r"-?\d+\.\d+", text) for text in (table_text(*compare()), PAGE.read_text("utf-8")))
     assert len(ours) == len(page)
     np.testing.assert_allclose(np.array(ours, float), np.array(page, float), atol=0.11)
+
+
+def test_table_of_derivatives_has_units_and_places() -> None:
+    times_s, values = np.arange(5.0, 56.0, 0.5), np.tile([-0.3, -20.0, 0.2, 12.0, -0.5], (102, 1))
+    values[7, 0], values[90, 0] = -0.55, -0.0951
+    text = derivatives_text(times_s, values)
+    row = "| Z_alpha | 1/s | normal acceleration by angle of attack, over airspeed | -0.550 to -0.0951 | 8.5 and 50 | "
+    assert f"{row}-0.55 to -0.1 |\n" in text
+    assert "| M_q | 1/s | pitch acceleration by pitch rate | -0.500 to -0.500 | 5 and 5 | not given |\n" in text
+    assert "| time, s | Z_alpha, 1/s | M_alpha, 1/s2 | Z_delta, 1/s | M_delta, 1/s2 | M_q, 1/s |\n" in text
+    assert "\n| 55 | -0.3000 | -20.00 | 0.2000 | 12.00 | -0.5000 |\n" in text
 
 
 def test_figures_of_section_2_and_3() -> None:

@@ -36,6 +36,12 @@ def words(page: str) -> str:
     return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", page.split("<script", maxsplit=1)[0])).split())
 
 
+def outcome(path: Path) -> tuple[str, ...]:
+    """Return the tone, the word and the reason of a page's outcome."""
+    (found,) = re.findall(r'<div class="outcome (\w+)"><b>(.*?)</b><p>(.*?)</p>', path.read_text(encoding="utf-8"))
+    return tuple(map(html.unescape, found))
+
+
 def test_an_analysis_is_a_page(capsys: Printed) -> None:
     assert simdesign.main(["analyse", "ksr3-default", "--at", "20", "--at", "40", "--out", "here"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "PASSED: stable, all 9 limits met; page: here/analysis.html"
@@ -49,10 +55,23 @@ def test_an_analysis_is_a_page(capsys: Printed) -> None:
     told = json.loads(Path("here/analysis.json").read_text())
     for limit in told["limits"]:
         assert f"{limit['name']} " in text
+    rows = [re.findall(r"<td.*?>(.*?)</td>", row) for row in page.split("<caption>")[1].split("<tr>")[2:]]
+    (phase,) = [row for row in rows if row[0] == "phase margin"]
+    asked, value, left = (float(cell.removeprefix("≥\xa0").removesuffix(" deg")) for cell in phase[1:4])
+    assert (left, len(phase[2]), len(phase[3])) == (pytest.approx(value - asked, abs=1e-9), 9, 9), (
+        "as exact as the value"
+    )
     drawn = figures(page)
     assert set(drawn) == {"utilisation", "limits", "loop", "gains", "filter"}
     loop = drawn["loop"]
-    assert [panel["plane"] for panel in loop["panels"]] == ["gain", "phase", "distance", "nichols", "nyquist"]
+    assert [panel["plane"] for panel in loop["panels"]] == [
+        "gain",
+        "phase",
+        "distance",
+        "nichols",
+        "nyquist",
+        "critical",
+    ]
     assert [one["name"] for one in loop["loops"]] == ["20 s, pitch and yaw", "40 s, pitch and yaw"]
     assert sum(one["first"] for one in loop["loops"]) == 1, "the loop that is shown first"
     for one, node in zip(loop["loops"], told["nodes"], strict=True):
@@ -82,6 +101,8 @@ def test_a_missed_limit_leads_the_page(capsys: Printed) -> None:
     assert simdesign.main(["analyse", "strict.toml", "--at", "40", "--out", "here"]) == 1
     shown = words(Path("here/analysis.html").read_text(encoding="utf-8"))
     assert "FAILED Gain margin missed" in shown
+    told = capsys.readouterr().out.splitlines()[-1].partition("; page: ")[0].removeprefix("FAILED: ")
+    assert outcome(Path("here/analysis.html")) == ("bad", "FAILED", f"{told[0].upper()}{told[1:]}.")
     tightest = shown.partition("Tightest limits: ")[2]
     wanted = r"gain margin(, \w+, other axes closed)?: \S+ dB at 40 s, limit ≥\s9.6 dB, margin to limit -\S+ dB"
     assert len(re.findall(wanted, tightest)) == 3
@@ -96,7 +117,17 @@ def test_the_data_of_the_loops_are_all_there() -> None:
     (zone,), (least,) = (plot.loops[0]["limits"][plane] for plane in ("nichols", "distance"))
     assert (zone["x"].min(), zone["y"].max()) == (-210.0, 6.0)
     assert least["value"] == pytest.approx(0.501, abs=1e-3)
-    assert plot.loops[1]["limits"] == {"nichols": [], "distance": []}
+    assert plot.loops[1]["limits"] == {"nichols": [], "critical": [], "distance": []}
+    (near,) = plot.loops[0]["limits"]["critical"]
+    outline = near["x"] + 1j * near["y"]
+    turned = (np.degrees(np.angle(outline)) + 360.0) % 360.0 - 180.0
+    share = np.abs(20.0 * np.log10(np.abs(outline))) / 6.0 + np.abs(turned) / 30.0
+    np.testing.assert_allclose(share, 1.0, atol=1e-9)  # on the diamond of 6 dB and 30 deg, all around
+    assert len(outline) == 48
+    assert (near["x"].min(), near["y"].max()) == pytest.approx((-1.9953, np.sin(np.radians(30.0))), abs=0.02)
+    (panel,) = [p for p in plot.panels if p.plane == "critical"]
+    assert panel.equal
+    assert panel.x_range == (-1.6, 0.6), "the unit circle near -1"
     rows = [line.split(",") for line in as_csv(plot).splitlines()]
     mine = [row for row in rows if row[0] == "40 s"]
     assert len(mine) == len(plot.loops[1]["x"])

@@ -7,6 +7,7 @@ import importlib.util
 import marshal
 import os
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -175,6 +176,35 @@ def test_python_code_is_imported_by_none_but_the_process_that_flies_it() -> None
     processes = Path("imported.txt").read_text().split()
     assert len(set(processes)) == 2  # a process of its own for each flight
     assert str(os.getpid()) not in processes
+
+
+ENDLESS = """
+import time
+from pathlib import Path
+
+class Autopilot:
+    def __init__(self, setup):
+        pass
+
+    def step(self, inputs):
+        Path("inside").touch()
+        time.sleep(3600.0)
+"""
+
+
+def test_code_that_does_not_return_ends_with_the_process_that_flies_it() -> None:
+    """A command that ends at once kills its workers, which ignore the signals that it received."""
+    Path("endless.py").write_text(ENDLESS)
+    code = flies(python="endless.py:Autopilot", timeout_s=3600.0)
+    with ThreadPoolExecutor(1) as pool:
+        flight = pool.submit(fly_once, load_scenario("nominal", ["design=", *code]))
+        until = time.monotonic() + 300.0
+        while not Path("inside").exists():
+            assert not flight.done()
+            assert time.monotonic() < until
+            time.sleep(0.05)
+        guard.kill_workers()
+        assert "SIGKILL" in flight.result(timeout=300.0).failures[0]
 
 
 def test_python_code_that_does_not_return_at_its_start_is_ended(

@@ -216,7 +216,7 @@ def test_page_of_a_layout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr("maxq.tools.vehicle.build.MODE_ROWS", 2)  # quicker
     texts = LAYOUT.replace("schema = 1", f'schema = 1\nname = "{QUOTED} layout"\ndescription = "{QUOTED} said"')
     (tmp_path / "layout.toml").write_text(texts.replace('"structure"', f'"{QUOTED} part"'))
-    page = layout_page(build(read_layout(tmp_path / "layout.toml")))
+    page = layout_page(build(read_layout(tmp_path / "layout.toml")), "BUILT: stable", passed=True)
     only_shows(page, "layout", "said")
 
 

@@ -8,7 +8,9 @@ import pytest
 
 import maxq
 from maxq import CampaignError, FlightRun, LoadedScenario, ScenarioError, record
+from maxq.design.verify.judging import described
 from maxq.sim.campaign.store import open_store
+from maxq.sim.input.files import builtin_files
 from maxq.sim.scenario.loader import copy_scenario, load_scenario
 from maxq.tools import simreplay
 from maxq.tools.cli.frame import show_list
@@ -109,10 +111,38 @@ def test_a_description_tells_what_was_changed() -> None:
     assert len(long) < 200
 
 
-def test_no_two_designs_are_listed_alike(capsys: pytest.CaptureFixture[str]) -> None:
+def test_designs_are_listed_by_their_purpose_and_no_two_alike(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
     assert show_list({"design": "designs"}) == 0
     told = [line.split(maxsplit=1)[1] for line in capsys.readouterr().out.splitlines()[1:]]
     assert len(set(told)) == len(told) > 5
+    assert all(text.startswith(("KSR-III", "Greensite's launcher", "petrel, an unstable launcher")) for text in told)
+
+
+def test_a_design_of_several_stages_is_described_stage_by_stage() -> None:
+    forms = [("F4", "free", "sampled"), ("F2", "linear", "sampled")]
+    assert described("For gusts.", forms, ["stage 1: met", "stage 2: missed"]) == (
+        "For gusts (filter F4/F2, free/linear gains, sampled loop). Stage 1: met. Stage 2: missed"
+    )
+    assert described("", forms[:1], ["least 1"]) == "filter F4, free gains, sampled loop. Least 1"
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_lists_of_all_kinds_are_aligned(
+    width: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    assert show_list({"case": "cases", "points": "derivatives", "suite": "suites"}) == 0
+    groups = [group.splitlines() for group in capsys.readouterr().out.split("\n\n")]
+    assert [group[0] for group in groups] == ["cases", "derivatives", "suites"]
+    lines = [line for group in groups for line in group[1:]]
+    column = 2 + max(len(name) for kind in ("case", "points", "suite") for name in builtin_files(kind)) + 2
+    assert max(map(len, lines)) <= width
+    for line in lines:  # a name or nothing, two spaces, and the description
+        assert line[column - 2 : column] == "  ", line
+        assert line[column] != " ", line
 
 
 def test_a_flight_is_recorded_into_a_folder_named_by_text() -> None:

@@ -18,12 +18,16 @@ from matplotlib.figure import Figure
 from picture_check import faults
 
 import maxq
+from maxq.design.margins.distances import Zone
 from maxq.design.verify.judging import Wanted, judge
+from maxq.sim.campaign.analysis import Band
 from maxq.tools.design import pictures
-from maxq.tools.design.pictures_loop import contours
-from maxq.tools.pages.render import render
+from maxq.tools.design.open_loop import LoopPicture, Mark
+from maxq.tools.design.pictures_loop import contours, draw_loop
+from maxq.tools.pages.render import command, render, sentence
 from maxq.tools.plots import campaign, style
 from maxq.tools.plots.figures import Panel, Plot, as_csv, as_json, at, band, limit, line, points, thinned
+from maxq.tools.plots.palette import RED
 from maxq.tools.plots.style import STYLE, curve, drawing, label, name_point, save, sheet
 from maxq.tools.replay import sheets
 from maxq.tools.replay.flight import open_flights
@@ -136,6 +140,47 @@ def test_contours_are_those_of_the_closed_loop(name: str) -> None:
     assert all(np.min(np.abs(at_180 - w)) < 0.05 for w in np.atleast_1d(wanted))
 
 
+def test_a_loop_is_drawn_with_its_margins_near_minus_one() -> None:
+    """Half of the loop on the unit circle: a gain margin of 6.02 dB at -0.5, and 60 deg at the unit circle."""
+    hz = np.geomspace(0.1, 10.0, 201)
+    curve = 0.5 * np.exp(-1j * np.pi * hz)
+    crossing, nearest = np.exp(1j * np.radians(-120.0)), -0.6 - 0.3j
+    marks = [
+        Mark(1.0, -0.5 + 0j, "upper 6.0 dB, 1 Hz", "gain"),
+        Mark(0.7, complex(crossing), "60 deg, 0.7 Hz", "phase"),
+        Mark(0.8, nearest, "0.5", "least"),
+        Mark(2.0, 0.5 + 0j, "mode 1"),
+        Mark(3.0, -0.4 + 0j, "", "gain"),
+    ]
+    with drawing():
+        figure = draw_loop(LoopPicture("a loop", hz, curve, marks, [Zone("ellipse", 30.0, 6.0)]))
+        style.settle(figure)
+    *_, near = figure.axes
+    titles = [place.get_title(loc="left") for place in figure.axes]
+    assert titles[:3] == ["Gain |L|", "Nichols", "Phase of L"]
+    assert titles[3:] == ["Nyquist (logarithmic beyond 0 dB)", "Distance to -1", "Nyquist near -1 (to scale)"]
+    red = [np.asarray(line.get_xydata()) for line in near.lines if line.get_color() == RED]
+    gain, arc, least = red
+    np.testing.assert_allclose(gain, [(-0.5, 0.0), (-1.0, 0.0)])
+    np.testing.assert_allclose(np.hypot(*arc.T), 1.0)
+    np.testing.assert_allclose(arc[[0, -1]], [(-0.5, -np.sqrt(0.75)), (-1.0, 0.0)], atol=1e-12)
+    assert arc[:, 1].max() < 1e-12, "the short way"
+    np.testing.assert_allclose(least, [(-0.6, -0.3), (-1.0, 0.0)])
+    names = {text.get_text() for text in near.texts}
+    assert {"upper 6.0 dB", "60 deg", "|1 + L| 0.5", "mode 1"} <= names
+    (zone,) = near.patches
+    outline = zone.get_path().vertices @ [1.0, 1j]
+    turned = (np.degrees(np.angle(outline)) + 360.0) % 360.0 - 180.0
+    np.testing.assert_allclose((20.0 * np.log10(np.abs(outline)) / 6.0) ** 2 + (turned / 30.0) ** 2, 1.0, atol=1e-9)
+    left, right = near.get_xlim()
+    low, high = near.get_ylim()
+    assert left < -1.0 < right
+    assert low < -1.0 < 1.0 < high
+    distance = figure.axes[4]
+    np.testing.assert_allclose(distance.lines[0].get_ydata(), np.abs(1.0 + curve))
+    assert distance.lines[-1].get_ydata() == pytest.approx(0.5)
+
+
 def test_phase_contours_have_one_phase() -> None:
     for phase, level in ((p, d) for text, p, d in contours() if not text):
         loop = (10.0 ** (level / 20.0) * np.exp(1j * np.radians(phase)))[np.isfinite(phase)]
@@ -162,6 +207,21 @@ def test_red_is_what_misses_the_limit_and_not_what_lies_on_it(kind: str, failure
         assert run is None if not len(inside) else spread[run] == (inside.max() if kind == "limit" else inside.min())
     v.bound = 2.0 if kind == "limit" else 0.0
     assert not campaign.missed(values, v).any()
+
+
+@pytest.mark.parametrize(("runs", "name"), [(19, "5 to 95 % (about all runs)"), (20, "5 to 95 %")])
+def test_a_band_of_few_runs_says_so(runs: int, name: str) -> None:
+    lines = np.array([[1.0, 1.5], [2.0, 2.5], [3.0, 3.5]])
+    band = Band("mach", runs, np.array([0.0, 1.0]), (5.0, 50.0, 95.0), lines, np.array([runs, runs]))
+    shown, median = campaign._envelope(band, "1", []).series
+    assert (shown["name"], median["name"]) == (name, "median")
+    assert [shown["y"].tolist(), shown["y2"].tolist(), median["y"].tolist()] == [*lines[[0, 2]].tolist(), [2.0, 2.5]]
+
+
+def test_texts_of_pages_are_sentences_and_options_stay_whole() -> None:
+    assert [sentence(text) for text in ("", "a b", "A b.", "why?")] == ["", "A b.", "A b.", "Why?"]
+    shown = "<code>simrun x <span>--set</span> &#39;a-b=&lt;--c&gt;&#39; <span>--out</span> d</code>"
+    assert command("simrun x --set 'a-b=<--c>' --out d") == shown
 
 
 def test_pages_list_their_headings_and_repeat_the_heads_of_tables(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -216,6 +216,66 @@ def test_extends_across_three_files(ascent: Path) -> None:
     assert (scenario.name, scenario.run.seed, scenario.run.step_s) == ("c", 3, 0.002)
 
 
+def test_appended_lists_follow_those_of_the_extended_files(ascent: Path) -> None:
+    """Each file of a chain appends; a table is entered, a missing list is created, another key replaces."""
+    first = '[[append.requirement]]\nmetric = "range_m"\nminimum = 1.0\n[append.run]\nstop_at = ["apogee"]\n'
+    (ascent.parent / "b.toml").write_text(f'extends = "ascent"\n{first}')
+    second = '[[append.requirement]]\nmetric = "max_slosh_deg"\nlimit = 3.0\n'
+    (ascent.parent / "c.toml").write_text(f'extends = "b"\n[run]\nstop_at = ["impact"]\n{second}')
+    base, b, c = (load_scenario(ascent.parent / f"{name}.toml").scenario for name in ("ascent", "b", "c"))
+    assert b.run.stop_at == ("apogee",)  # the default is no list of the extended file
+    assert c.run.stop_at == ("impact",)
+    assert b.requirement == (*base.requirement, b.requirement[-1])
+    assert [r.metric for r in c.requirement[len(base.requirement) :]] == ["range_m", "max_slosh_deg"]
+    assert not base.fault
+    fault = '[[append.fault]]\nkind = "engine-off"\nat_s = 7.0\n'
+    (ascent.parent / "d.toml").write_text(f'extends = "ascent"\n{fault}')
+    assert [f.at_s for f in load_scenario(ascent.parent / "d.toml").scenario.fault] == [7.0]
+
+
+def test_an_appended_stage_finds_its_tables_beside_its_file(ascent: Path) -> None:
+    folder = ascent.parent / "vehicles" / "taller"
+    folder.mkdir()
+    (folder / "heavy.csv").write_text("time_s,mass_kg,x_cg_m,Ixx_kgm2,Iyy_kgm2,Izz_kgm2\n0,500,3,100,900,900\n")
+    upper = '[[append.stage]]\nname = "upper"\n[append.stage.mass]\ntable = "heavy.csv"\n'
+    (folder / "vehicle.toml").write_text(f'extends = "../rocket"\n{upper}')
+    vehicle = load_scenario(ascent, ["vehicle=vehicles/taller", "vehicle.stage.0.separation_s=70"]).vehicle
+    assert [stage.name for stage in vehicle.stage][1:] == ["upper"]
+    table = vehicle.stage[-1].mass.table
+    assert table is not None
+    assert table["mass_kg"].tolist() == [500.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[[append.requirement]]\n", "append: there is no list to append to; allowed: with extends"),
+        ('extends = "ascent"\nappend = 3\n', "append = 3: has the wrong type; allowed: a table of lists"),
+        ('extends = "ascent"\n[append.run]\nstep_s = 1.0\n', "append.run.step_s = 1.0: is no list; allowed: a list"),
+        ('extends = "ascent"\n[append.run]\nstep_s = [1.0]\n', "append.run.step_s = [1.0]: has the wrong type"),
+        (
+            'extends = "ascent"\n[append.run]\nduration_s = [1.0]\n',
+            "append.run.duration_s: the extended file has no list",
+        ),
+        ('extends = "ascent"\n[[append.run]]\nstep_s = 1.0\n', "append.run: the extended file has no list there"),
+        (
+            'extends = "ascent"\n[[append.requirement]]\nmetric = "range_m"\nmost = 1.0\n',
+            "append.requirement.0.most = 1.0: unknown key",
+        ),
+        (
+            'extends = "ascent"\n[[append.requirements]]\nmetric = "range_m"\n',
+            'append.requirements = [{metric = "range_m"}]: unknown key',
+        ),
+    ],
+)
+def test_a_mistake_in_appended_lists_names_file_and_key(ascent: Path, text: str, says: str) -> None:
+    (ascent.parent / "b.toml").write_text(text)
+    with pytest.raises(ScenarioError) as error:
+        load_scenario(ascent.parent / "b.toml")
+    assert str(error.value).startswith(str(ascent.parent / "b.toml"))
+    assert says in str(error.value)
+
+
 def test_a_vehicle_extends_another(ascent: Path) -> None:
     folder = ascent.parent / "vehicles" / "stiff"
     folder.mkdir()

@@ -19,7 +19,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 def test_the_reference_has_every_key_of_every_kind() -> None:
     for kind in KINDS:
         text, schema = keys(kind), json_schema(kind)
-        own = set(schema["properties"]) - {"extends", "unset", "vehicle_overrides", "design_overrides"}
+        own = set(schema["properties"]) - {"extends", "unset", "append", "vehicle_overrides", "design_overrides"}
         if kind == "campaign":
             own -= set(json_schema("scenario")["properties"])
         assert own <= set(re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)), kind
@@ -60,7 +60,7 @@ def test_every_key_has_a_meaning(kind: str) -> None:
 
 def test_schema_is_of_the_file_a_person_writes() -> None:
     schema = json_schema("scenario")
-    assert {"extends", "unset", "vehicle_overrides", "design_overrides"} <= set(schema["properties"])
+    assert {"extends", "unset", "append", "vehicle_overrides", "design_overrides"} <= set(schema["properties"])
     assert {"type": "string"} in schema["properties"]["vehicle"]["anyOf"]
     assert schema["additionalProperties"] is False
     assert schema["anyOf"] == [{"required": ["vehicle"]}, {"required": ["extends"]}]

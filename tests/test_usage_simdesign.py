@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import signal
 import tomllib
 from pathlib import Path
@@ -74,6 +75,9 @@ def test_a_case_leaves_a_design_that_flies(capsys: Printed) -> None:
     assert (told["feasible"], told["status"], told["missed"]) == (True, "optimal", [])
     assert told["search"]["starts"] == 2
     assert design["filter"]["structure"] == "F2"
+    purpose, result = design["description"].split(". ", 1)
+    assert re.fullmatch(r"KSR-III, the published problem .* \(filter F2, linear gains, pade loop\)", purpose)
+    assert re.fullmatch(r"Largest peak of mode 1 \S+ dB; all limits met at its 2 operating points", result)
     assert design["gains"]["table"][0]["k_p"] == pytest.approx(told["gains"]["k_p"][0], rel=1e-8)
     assert [node["time_s"] for node in told["nodes"]] == [10.0, 40.0]
     peaks = [lobe["peak_db"] for node in told["nodes"] for lobe in node["lobes"] if lobe["label"] == "bending 1"]

@@ -82,7 +82,7 @@ def test_second_candidate_is_accepted_when_the_first_fails(capsys: Printed) -> N
     assert table[2].split()[:2] == ["1", "out/ksr3-relaxed"]
     assert table[3].split()[:2] == ["2", "out/ksr3-identical"]
     failed = next(n for n, line in enumerate(said) if line.startswith("out/ksr3-relaxed: REJECTED: lower gain margin"))
-    assert said[failed + 1].startswith("  rejected: lower gain margin, as designed: 9.36 dB")
+    assert said[failed + 1].startswith("  missed: lower gain margin, as designed: 9.36 dB")
     assert said[failed + 2].split()[:3] == ["simverify", "out/ksr3-relaxed/design.toml", "--suite"]
     assert any(line.startswith("out/ksr3-identical: PASSED SCREENING: ") for line in said[failed:])
     assert said[-1].startswith("PASSED SCREENING by the suite suite.toml: out/ksr3-identical, candidate 2 of 2")
@@ -95,7 +95,7 @@ def test_second_candidate_is_accepted_when_the_first_fails(capsys: Printed) -> N
 def test_none_accepted_says_what_each_failed(capsys: Printed) -> None:
     assert _run(*CASES, *SMALL, "--verify", "--suite", _suite(20.0), "--out", "out") == 1
     said = capsys.readouterr().out
-    assert said.count("  rejected: lower gain margin, as designed") == 2
+    assert said.count("  missed: lower gain margin, as designed") == 2
     assert said.splitlines()[-1] == "NONE PASSED the suite suite.toml"
 
 
@@ -119,7 +119,7 @@ def test_designs_are_tried_until_one_is_accepted() -> None:
     assert kept == ["ksr3-two-phase", "ksr3-robust"]
     assert told[0].startswith("ksr3-two-phase: REJECTED: phase margin, rigid body 38.48 deg < 50 deg at ")
     assert told[0].endswith(" requirements met. A screening can reject, not accept.")
-    assert told[1].startswith("  rejected: phase margin, rigid body, as designed: 38.48 deg")
+    assert told[1].startswith("  missed: phase margin, rigid body, as designed: 38.48 deg")
     assert told[-1].startswith("ksr3-robust: PASSED SCREENING: tightest requirement: phase margin, rigid body ")
     nothing, all_ = try_in_order(designs, _suite(50.0), [AT_NODES], tell=told.append)
     assert nothing is None

@@ -30,7 +30,7 @@ from maxq.tools.replay import flight as flight_module
 from maxq.tools.replay import stream, viewer
 from maxq.tools.replay.convert import Options, colours_of, free_corner, legend_of, part_with, parts_of, save, with_scale
 from maxq.tools.replay.flight import Moment, open_flight
-from maxq.tools.replay.plots import PlotAxis, PlotLine, ReplayPlot, tabs_of
+from maxq.tools.replay.plots import Limit, PlotAxis, PlotLine, ReplayPlot, tabs_of
 from maxq.tools.replay.sheets import write_sheets
 from maxq.tools.replay.stream import PHASES, first_phase, phases
 from maxq.tools.replay.text import about, summary_text
@@ -228,7 +228,10 @@ def test_a_legend_too_large_for_a_plot_names_the_flights_whose_curves_differ_in_
     tab = next(tab for tab in tabs_of(open_flight(OLD_LOG).log.table, None) if tab.name == "Loads")
     plots = {plot.key.removeprefix("loads/"): plot for plot in tab.plots}
     legends = [{key: legend_of(tab, plot, n) for key, plot in plots.items()} for n in (1, 3, 6, 7)]
-    assert set(legends[0].values()) == {"curves"}
+    assert legends[0] == {key: "curves" if len(plot.curves) > 1 else "" for key, plot in plots.items()}
+    assert {"curves", ""} == set(legends[0].values())
+    limited = replace(plots["q_alpha"], limits=(Limit(1e5, "q alpha 100", upper=True, required=True),))
+    assert legend_of(tab, limited, 1) == "curves"
     assert (legends[1]["q_alpha"], legends[1]["force"], legends[2]["moment"]) == ("curves", "flights", "flights")
     assert set(legends[3].values()) == {""}
 
@@ -311,6 +314,13 @@ def test_a_failed_flight_is_red_among_few_and_many_and_its_verdict_comes_first()
     at = lines.index("| requirement | value | limit | used |")
     assert at < 12
     assert lines[at + 2].startswith("| **MISSED** ")
+    assert lines[at + 2].endswith(" | ≤ 0 s |  |")
+    met = sum(not line.startswith("| **MISSED** ") for line in lines[at + 2 : lines.index("", at)])
+    assert lines[2].endswith(f"; {met} of {len(failed.requirements)} requirements met")
+    several = about([replace(passed, label="calm"), replace(failed, label="windy")], []).splitlines()
+    assert [line.split(" | ")[-1] for line in several[4:6]] == ["PASSED |", "FAILED |"]
+    assert several[6] == ""
+    assert several[7] == f"- windy: {lines[0].removeprefix('# FAILED: ')}"
     assert PHASES["ended"] != "#009e73"
 
 

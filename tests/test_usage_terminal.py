@@ -107,7 +107,7 @@ def test_lists_fit_and_begin_with_what_to_begin_with(
 
 
 def test_sentences_are_folded_at_spaces_and_commands_stay_whole() -> None:
-    text = "  rejected: " + "word " * 40
+    text = "  missed: " + "word " * 40
     assert all(len(line) <= 80 for line in folded(text, 80).splitlines())
     assert folded(text, 80).startswith(text[:40])
     assert folded(text, 80).split() == text.split()

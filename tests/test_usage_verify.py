@@ -16,6 +16,8 @@ import design_nodes
 import numpy as np
 import petrelkit as petrel
 import pytest
+import test_oracle_boosters as boosters
+from flightkit import load
 
 import maxq
 from maxq import ScenarioError
@@ -161,7 +163,7 @@ def test_rejected_and_undecided_have_their_codes(
     assert code == 1
     verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
     assert 0.0 < sum(verdict["walls_s"].values()) <= verdict["wall_s"]
-    assert "\n\nrequirements not shown to be met\n  rejected: upper gain margin, as designed" in said
+    assert "\n\nrequirements not shown to be met\n  missed: upper gain margin, as designed" in said
     code, said, _ = _run(
         capsys, "ksr3-robust", *quick, "--set", "margins.nominal.gain_up_db=3.0", "--set", "margins.success=0.99"
     )
@@ -307,6 +309,12 @@ STAGE_MARKS = {
     "gimbal_moment_Nm": 1e4,
 }
 
+WITHOUT_BOOSTERS = (
+    "one booster with more mass flow: no outer booster",
+    "one booster with more thrust: no outer booster",
+    "boosters separate late: no booster stage",
+)
+
 
 def _fitted(name: str | Path, scenario: str | Path, *stages: dict[str, Any]):
     memory: Any = Known(NOMINAL_MARKS, *stages)
@@ -318,8 +326,10 @@ def test_standard_suite_asks_for_what_can_fail() -> None:
     suite = fitted.suite
     names = {f.name for f in suite.flight}
     assert len(suite.flight) == 41
-    assert len(fitted.left_out) == 2
-    assert all(text.startswith("one engine out") for text in fitted.left_out)  # it has a single one
+    assert fitted.left_out == (
+        *WITHOUT_BOOSTERS,
+        *(f"one engine out {when}: no outer engine" for when in ("early", "late")),  # it has a single one
+    )
     assert {
         "thrust lost early",
         "attitude transient",
@@ -390,6 +400,53 @@ def test_a_fitted_suite_names_every_part_of_the_vehicle() -> None:
     assert read_suite("standard").suite.flight  # what is fitted is a copy
 
 
+def test_generic_flights_treat_boosters() -> None:
+    """Engines and tanks of core and boosters deviate together; one booster alone; a late separation.
+
+    The second stage keeps its first booster, and the core flies on alone.
+    """
+    liquid = {"time_s": 0.0, "slosh_mass_kg": 50.0, "pendulum_length_m": 0.5, "hinge_station_m": 7.0}
+    tanks = {"tank": [{"table": [liquid], "damping_ratio": 0.02}]}
+    stays, leaves = boosters.solid("stays", (0.5, 0.9)) | tanks, boosters.solid("leaves", (0.0, -1.2))
+    stages = (
+        boosters.core({"separation_after_burnout_s": 1.5}, [stays, leaves], name="all"),
+        boosters.core({"separation_s": 20.0}, [stays], name="one") | boosters.AFTER,
+        boosters.core(boosters.AFTER, [], name="alone"),
+    )
+    base = load(boosters.launcher(*stages))
+    marks = [STAGE_MARKS | {"stage": n} | fitted_module._of_boosters(base, n) for n in range(3)]
+    memory: Any = Known(NOMINAL_MARKS | {"limit_wind": "calm.csv"}, *marks)
+    fitted = fit(read_suite("launcher"), base, memory)
+    changes = {f.name: f.set for f in fitted.suite.flight}
+    engines = ["0.engine", "1.engine", "2.engine", "0.booster.0.engine", "0.booster.1.engine", "1.booster.0.engine"]
+    assert sorted(changes["hot engine"]) == sorted(f"vehicle.stage.{e}.mass_flow_factor=1.03" for e in engines)
+    assert sorted(changes["cold engine"]) == sorted(f"vehicle.stage.{e}.mass_flow_factor=0.97" for e in engines)
+    turned = [f"vehicle.stage.{e}.misalignment_deg=[0.29,0.29]" for e in engines]
+    assert sorted(changes["engine misaligned"]) == sorted(turned)
+    smooth = [f"vehicle.stage.{n}.booster.0.tank.0.damping_ratio=0.001" for n in (0, 1)]
+    assert list(changes["slosh, smooth walls"][-2:]) == smooth
+    assert changes["one booster with more thrust, all"] == ("vehicle.stage.0.booster.1.engine.thrust_factor=1.042",)
+    flow = [f"vehicle.stage.{n}.booster.0.engine.mass_flow_factor=1.042" for n in (0, 1)]
+    assert list(changes["one booster with more mass flow, one"]) == flow
+    assert changes["boosters separate late, all"] == ("vehicle.stage.0.separation_after_burnout_s=3.5",)
+    assert changes["boosters separate late, one"] == ("vehicle.stage.1.separation_s=22.0",)
+    assert "boosters separate late, stage 3: no booster stage" in fitted.left_out
+
+
+def test_a_suite_adds_flights_to_those_of_another(tmp_path: Path) -> None:
+    own = '[[append.flight]]\nname = "{}"\nset = ["run.duration_s=1"]\n'
+    for name, base, flight in (("mine", "quick", "calm"), ("yours", "mine.toml", "short")):
+        (tmp_path / f"{name}.toml").write_text(f'schema = 2\nextends = "{base}"\n{own.format(flight)}')
+    names = [f.name for f in read_suite("quick").suite.flight]
+    assert [f.name for f in read_suite(tmp_path / "yours.toml").suite.flight] == [*names, "calm", "short"]
+    (tmp_path / "yours.toml").write_text(f'schema = 2\nextends = "mine.toml"\n{own.format("calm")}')
+    with pytest.raises(ScenarioError) as error:
+        read_suite(tmp_path / "yours.toml")
+    assert str(error.value).startswith(
+        f'{tmp_path / "yours.toml"}: append.flight.0.name = "calm": is the name of another'
+    )
+
+
 @pytest.mark.long
 def test_a_suite_for_several_stages_and_engines() -> None:
     """The second vehicle: nine engines below, one above; each stage has its faults; none of them KSR-III's."""
@@ -401,9 +458,8 @@ def test_a_suite_for_several_stages_and_engines() -> None:
     assert [name.partition(", ")[2] for name in of_each] == [s.name for s in petrel.scenario().vehicle.stage]
     assert "stage=1,at_s=15.0,until_s=15.2" in flights[of_each[1]].set[1]
     assert "engine=2," in flights["one engine out late, first"].set[1]
-    assert fitted.left_out == tuple(
-        f"one engine out {when}, stage {n}: no outer engine" for when in ("early", "late") for n in (2, 3)
-    )
+    outer = (f"one engine out {when}, stage {n}: no outer engine" for when in ("early", "late") for n in (2, 3))
+    assert fitted.left_out == (*WITHOUT_BOOSTERS, *outer)
     hot = flights["hot engine"].set
     assert len(hot) == 11
     assert all(change.endswith("mass_flow_factor=1.03") for change in hot)
@@ -622,7 +678,7 @@ def test_a_part_is_known_by_the_bits_that_it_depends_on(tmp_path: Path) -> None:
     memory = PartsOnDisk(tmp_path)
     for thing in things:
         memory.recall("part", thing, lambda: 7)
-    assert (memory.recalled, memory.worked_out) == (1, len(things) - 1)  # the same float
+    assert (memory.recalled, memory.worked_out) == (0, len(things) - 1)  # the same float, of this computation
     for number in (1.0, math.nextafter(1.0, 2.0)):
         memory.recall("other", number, lambda: 7)
     assert memory.worked_out == len(things) + 1
@@ -696,8 +752,8 @@ def test_memory_gives_back_what_it_was_given(tmp_path: Path) -> None:
         None, True, 3, -0.0, math.inf, "text", (1, [2.0, ()]), {1: "a", "b": (2,)}, 1 + 2j, Path("a/b"), node,
         np.float64(0.1), np.int64(3), np.arange(6.0).reshape(2, 3), np.zeros((0, 2)), np.array([1 + 1e-30j]),
     ]  # fmt: skip  # a table
+    PartsOnDisk(tmp_path).recall("part", 1.0, lambda: things)
     memory = PartsOnDisk(tmp_path)
-    memory.recall("part", 1.0, lambda: things)
     again = memory.recall("part", 1.0, list[Any])
     assert memory.recalled == 1
     for thing, other in zip(things, again, strict=True):
@@ -750,3 +806,24 @@ def test_requirements_of_each_plane_stand_under_its_name() -> None:
     both = asked("", "5 s, pitch", "9 s, pitch", "", "5 s, yaw", "7 s, yaw", "")
     assert pack_report._headings(both) == [", pitch"] * 3 + [", yaw"] * 4
     assert pack_report._headings(asked("", "at 3 s", "5 s, pitch")) == [""] * 3
+
+
+def test_the_summary_names_the_evidence_of_each_part() -> None:
+    margins = SimpleNamespace(planes=("pitch", "yaw"), worst=SimpleNamespace(sigmas=2.5))
+    results = SimpleNamespace(
+        flights=[1, 2], margins=[SimpleNamespace(times_s=[1.0] * 9, random=[1] * 60, corners=[1] * 4)], measured=[]
+    )
+    parts = [("scenarios", "accepted"), ("margins", "rejected"), ("dispersed", "undecided"), ("worst", "accepted")]
+    found: Any = SimpleNamespace(
+        suite=SimpleNamespace(margins=margins, certificate=None),
+        results=results,
+        deviations="",
+        campaigns=[],
+        requirements=[SimpleNamespace(part=part, judgement=judgement) for part, judgement in parts],
+    )
+    assert [(row["name"], row["asked"], row["counts"]) for row in pack_report._summary(found)] == [
+        ("scenarios", "2 flights, each within its limits", [1, 0, 0]),
+        ("margins", "linear margins of the design at 9 operating points, pitch and yaw", [0, 1, 0]),
+        ("dispersed", "the same of 64 dispersed vehicles", [0, 0, 1]),
+        ("worst", "search for the worst vehicle within 2.5 sigma", [1, 0, 0]),
+    ]

@@ -101,8 +101,8 @@ def test_switches_of_every_flight_are_named_first() -> None:
     every = ["run.stop_at=['burnout','impact']", "switches.slosh=false", "switches.bending=false"]
     Path("off.toml").write_text(f'schema = 2\nextends = "standard"\nevery = {json.dumps(every)}\n')
     assert _differences("off.toml") == [
-        "physics switched off: 43 flights: switches.slosh, none -> false",
-        "physics switched off: 43 flights: switches.bending, none -> false",
+        "physics switched off: 46 flights: switches.slosh, none -> false",
+        "physics switched off: 46 flights: switches.bending, none -> false",
     ]
 
 
@@ -219,13 +219,13 @@ def test_a_vehicle_s_suite_is_compared_with_launcher_but_for_its_own_numbers() -
         ("campaign.0.set=['wind_model=']", "removed: campaign 1 wind_model"),
         ("campaign.0.set=['requirement.0.limit=1e9']", "limit loosened: campaign 1: scenario.requirement."),
         (
-            "flight.11.set=['vehicle.stage.0.actuator.backlash_deg=0']",
+            "flight.13.set=['vehicle.stage.0.actuator.backlash_deg=0']",
             "changed: flight delay: vehicle.stage.0.actuator.backlash_deg, none -> 0",
         ),
         ("campaign.0.set=['vehicle.computer.delay_s=0.0']", "changed: campaign 1: scenario.vehicle.computer.delay_s"),
         (
             "every=['run.stop_at=[\"liftoff\"]']",
-            "changed: 43 flights: run.stop_at, ['burnout', 'impact'] -> ['liftoff']",
+            "changed: 46 flights: run.stop_at, ['burnout', 'impact'] -> ['liftoff']",
         ),
         ("campaign.0.runs=1104", ""),
     ],
@@ -306,7 +306,7 @@ def test_terminal_page_and_verdict_show_the_differences_and_hash_everything(
     assert main(["ksr3-robust", "--suite", "mine.toml", "--out", "out"]) == 0
     said = capsys.readouterr().out
     assert re.search(r"^baseline: \d+ differences from the shipped suite standard$", said, re.MULTILINE)
-    assert re.search(r"^  removed +43 flights: nominal, limit wind, ", said, re.MULTILINE)
+    assert re.search(r"^  removed +46 flights: nominal, limit wind, ", said, re.MULTILINE)
     page, verdict = Path("out/review.html").read_text(), json.loads(Path("out/verdict.json").read_text())
     assert "differences from the shipped suite standard" in page
     assert {"kind": "removed", "what": "certificate", "baseline": "", "here": ""} in verdict["baseline"]["differences"]

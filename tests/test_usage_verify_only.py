@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 from pathlib import Path
 
@@ -77,4 +78,7 @@ def test_the_certificate_of_flight_code_alone_is_judged_by_the_limits(
     assert (verdict["part"], verdict["left_out"]) == ("certificate", ["1 flight", "linear margins"])
     assert verdict["missing_evidence"] == ["'certificate' was judged alone"]
     page = " ".join(Path("out/review.html").read_text().split())
+    reason = last.removeprefix("REJECTED: ")
+    shown = f'<div class="outcome bad"><b>REJECTED</b><p>{reason[0].upper()}{reason[1:]}</p></div>'
+    assert shown in html.unescape(page)
     assert "This code under test was executed for the review, in a process of its own." in page

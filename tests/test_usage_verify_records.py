@@ -495,6 +495,7 @@ def test_a_sample_of_recalled_parts_is_compared(tmp_path: Path) -> None:
     memory = PartsOnDisk(tmp_path)
     memory.recall("part", 1.0, lambda: 8, "a")  # as if the file had been forged
     memory.recall("part", 2.0, lambda: 9, "b")
+    assert memory.recall("part", 2.0, lambda: 10, "b") == 9  # of this computation
     assert memory.recalled_names == ("part a",)
     assert memory.recheck(0) == ((), ())
     assert memory.recheck(5) == (("part a",), ("part a",))

@@ -402,6 +402,7 @@ def write_report(
         losses=losses,
         found=found,
         varies=_varies,
+        meets=meets,
         quantity_text=quantity_text,
         number_columns=number_columns(rows),
         settled=settled,

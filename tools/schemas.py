@@ -36,6 +36,7 @@ MODELS: dict[str, type[Section]] = {
 KINDS = tuple(MODELS)
 _EXTENDS = {"type": "string", "description": "file that this one extends"}
 _UNSET = {"type": "array", "items": {"type": "string"}, "description": "keys of the extended file to remove"}
+_APPEND = {"type": "object", "description": "lists whose elements are added to those of the extended file"}
 
 
 def json_schema(kind: str) -> dict[str, Any]:
@@ -53,7 +54,7 @@ def json_schema(kind: str) -> dict[str, Any]:
             properties[part]["anyOf"] = [{"type": "string"}, *content]
             about = f"any key of the {part} by its path, e.g. stage.0.name"
             properties[f"{part}_overrides"] = {"type": "object", "description": about}
-    properties |= {"extends": _EXTENDS, "unset": _UNSET}
+    properties |= {"extends": _EXTENDS, "unset": _UNSET, "append": _APPEND}
     if required := schema.pop("required", []):
         schema["anyOf"] = [{"required": required}, {"required": ["extends"]}]
     cleaned: dict[str, Any] = _as_written(schema)

@@ -15,13 +15,13 @@ from maxq.tools.cli.frame import Command, CommandError, Exit
 from maxq.tools.cli.parser import Parser, count_from_1, number, seconds
 
 _EXAMPLES = """\
-  simdesign ksr3-identical                 optimise the built-in case of that name
-  simdesign mine.toml --out runs/mine      optimise your own; fly it with
-  simrun nominal --set design=runs/mine/design.toml
-  simdesign analyse ksr3-default           margins of a built-in design
-  simdesign errata                         effect of each erratum of the paper
-  simdesign export ksr3-robust --c law     the law as C99 sources
-  simdesign bias nominal                   the pitch programme, biased for a wind
+  simdesign ksr3-identical                 optimise a built-in case
+  simdesign mine.toml --out runs/mine      optimise your own case
+  simrun nominal --set design=runs/mine/design.toml   fly the design found
+  simdesign analyse ksr3-default           measure the margins of a built-in design
+  simdesign analyse runs/mine              measure those of your design
+  simdesign export ksr3-robust --c law     write the law as C99 sources
+  simdesign bias nominal                   bias the pitch programme for a wind
 """
 _EXITS = {
     Exit.OK: "done; optimise: designed, all limits met; analyse: stable at every operating point, all limits met",
@@ -33,7 +33,7 @@ _EXITS = {
 def _parser() -> Parser:
     about = (
         "Optimise gain schedules and bending filters, and analyse designs in the frequency domain. "
-        "Without a command, a case is optimised. simdesign COMMAND --help lists the options of a command."
+        "With a CASE instead of a command, optimise that case. For options: simdesign COMMAND --help."
     )
     parser = Parser("simdesign", about, _EXAMPLES, _EXITS)
     parser.commands("CASE", lambda name: "optimise")
@@ -52,10 +52,10 @@ def _parser() -> Parser:
 
 def _add_optimise(parser: Parser) -> None:
     examples = """\
-  simdesign optimise ksr3-identical        the built-in case of that name
-  simdesign optimise ksr3-identical --set limits.gain_margin_db=7
-  simdesign optimise ksr3-identical ksr3-robust --verify   design both, verify the better one, and the
-                                           other if necessary
+  simdesign optimise ksr3-identical        a built-in case
+  simdesign optimise ksr3-identical --set limits.gain_margin_db=7   with a larger gain margin
+  simdesign optimise ksr3-identical ksr3-robust --verify   design both; verify the better one, and
+                                           the other if necessary
 """
     exits = {
         Exit.OK: "designed, all limits met; --verify: one design is accepted",
@@ -64,72 +64,76 @@ def _add_optimise(parser: Parser) -> None:
         Exit.UNDECIDED: "--verify: none is accepted, and one needs more runs",
         Exit.INTERRUPTED: "interrupted; the best design so far is kept",
     }
-    optimise = parser.command("optimise", "Optimise a case", examples, _optimise, exits)
+    optimise = parser.command(
+        "optimise", "Find the gains and filter that meet the limits of a case", examples, _optimise, exits
+    )
     add = optimise.option
     add("CASE...", "case file (.toml), or name of a built-in case; several with --verify", dest="cases")
     add("--out DIR", "where to write (default: runs/<name of the case>)")
-    add("--starts N", "number of starts of the optimiser, instead of the case's", type=count_from_1)
-    add("--seed N", "seed of the starts, instead of the case's", type=int)
+    add("--starts N", "number of starts of the search (default: the case's)", type=count_from_1)
+    add("--seed N", "seed of the starts (default: the case's)", type=int)
     optimise.overrides("the case, e.g. limits.gain_margin_db=7")
-    add("--orders", "also design F2 to F6 with all three gain schedules (the paper's Fig. 9)")
+    add("--orders", "also design filters F2 to F6, each with three gain schedules (Fig. 9 of the paper)")
     _add_page(optimise)
-    add("--verify", "then verify the designs, best first, until one is accepted")
+    add("--verify", "verify the designs, the best one first, until one is accepted")
     add("--suite SUITE", "suite for --verify (default: standard)", needs=["--verify"])
-    add("--no-trials", "if the case is infeasible, omit the trials with wider bounds, higher order and faster sampling")
+    add("--no-trials", "do not try wider bounds, a higher order or faster sampling if the case is infeasible")
 
 
 def _add_analyse(parser: Parser) -> None:
     examples = """\
-  simdesign analyse ksr3-default           margins of a built-in design
-  simdesign analyse runs/mine --at 30 --at 45   of the design in this folder, at two times
-  simdesign analyse greensite-hm3          of a launcher known only by published derivatives
+  simdesign analyse ksr3-default           a built-in design
+  simdesign analyse runs/mine --at 30 --at 45   the design in this folder, at 30 s and 45 s
+  simdesign analyse greensite-hm3          a launcher known only by published derivatives
 """
     exits = {
         Exit.OK: "stable at every operating point, and all limits of the design met",
         Exit.FAILED: "unstable, or a limit missed",
     }
-    analyse = parser.command("analyse", "Measure the margins of a design", examples, _analyse, exits)
+    analyse = parser.command(
+        "analyse", "Measure the margins of a design, and plot its loops on a page", examples, _analyse, exits
+    )
     analyse.option("DESIGN", "design file, folder with a design.toml, or a built-in design")
     _add_operating_points(analyse, "the design's, if built in, else nominal")
     add = analyse.option
-    about = "judge at the rows of the gain tables and every S seconds, instead of at the operating points as designed"
+    about = "operating points every S seconds and at the rows of the gain tables, instead of those of the design"
     add("--every S", about, type=partial(_between, 0.01), dest="every_s")
-    add("--kind sampled|pade|exact", "model of the computer (default: as designed, else sampled, as it flies)")
-    add("--axis pitch|yaw", "plane (default: as designed, else pitch)")
-    add("--errata corrected|paper", "equations as corrected, or as printed in the paper (default: as designed)")
+    add("--kind sampled|pade|exact", "model of the flight computer (default: as designed, else sampled, as flown)")
+    add("--axis pitch|yaw", "plane of motion (default: as designed, else pitch)")
+    add("--errata corrected|paper", "equations as corrected, or as the paper prints them (default: as designed)")
     _add_plant(analyse)
-    add("--faults", "use operating points of the flight with the scenario's faults")
-    add("--points FILE", "use operating points of published derivatives (.toml, or built in) instead of a flight")
+    add("--faults", "operating points of the flight with the scenario's faults")
+    add("--points FILE", "operating points of published derivatives (.toml, or built in) instead of a flight")
     add("--out DIR", "where to write (default: runs/analyse-<name of the design>)")
     _add_page(analyse)
 
 
 def _add_page(parser: Parser) -> None:
     parser.option(
-        "--plots",
-        "also write SVG and PNG pictures of loops, margins, lobes, gains and filter",
-        without=["--no-pictures"],
+        "--plots", "also write loops, margins, lobes, gains and filter as SVG and PNG", without=["--no-pictures"]
     )
     parser.option("--no-pictures", "write tables and files only, no page")
 
 
 def _add_operating_points(parser: Parser, default: str, without: Sequence[str] = ()) -> None:
-    parser.option("--at T...", "vehicle time, s; repeatable", without=without, type=seconds, dest="times_s")
-    parser.option("--scenario S", f"scenario whose flight gives the operating points (default: {default})")
+    parser.option(
+        "--at T...", "operating point at vehicle time T, s; repeatable", without=without, type=seconds, dest="times_s"
+    )
+    parser.option("--scenario S", f"scenario that flies through the operating points (default: {default})")
     parser.option("--vehicle V", "vehicle folder instead of the scenario's")
 
 
 def _add_plant(parser: Parser) -> None:
-    about = "vehicle as flown (default, unless designed otherwise), or with the ranges of Table 2"
+    about = "vehicle as flown, or with the ranges of Table 2 of the paper (default: as designed, else flown)"
     parser.option("--plant flown|table2", about)
 
 
 def _add_others(parser: Parser) -> None:
     examples = """\
-  simdesign errata                         of ksr3-default
-  simdesign errata ksr3-robust --at 40     of another design, at one time
+  simdesign errata                         for the design ksr3-default
+  simdesign errata ksr3-robust --at 40     for another design, at one time
 """
-    about = "Measure the effect of each erratum of the paper on peaks and margins"
+    about = "Measure what each erratum of the paper changes in peaks and margins"
     errata = parser.command("errata", about, examples, _errata)
     errata.option("[DESIGN]", "design file, or a built-in design (default: ksr3-default)")
     _add_operating_points(errata, "nominal")
@@ -137,27 +141,27 @@ def _add_others(parser: Parser) -> None:
     errata.option("--out FILE", "also write the table to a file")
 
     examples = """\
-  simdesign export ksr3-robust --c law     C99 sources, with a unit test
-  simdesign export ksr3-robust --format mat   plant, law and loop as matrices
+  simdesign export ksr3-robust --c law     C99 sources and a unit test, in the folder law
+  simdesign export ksr3-robust --format mat   plant, law and loop for MATLAB
 """
-    export = parser.command("export", "Export a law as C, or its loop as matrices", examples, _export)
+    export = parser.command("export", "Export a control law as C, or its loop as matrices", examples, _export)
     export.option("DESIGN", "design file, or a built-in design")
     form = export.add_mutually_exclusive_group(required=True)
-    export.option("--c DIR", "the law as C99 sources with tables, unit test and CMake file", group=form)
-    about = "plant, law and loop at the operating points as A, B, C, D for MATLAB, NumPy or any reader"
+    export.option("--c DIR", "the law as C99 sources, with its tables, a unit test and a CMake file", group=form)
+    about = "plant, law and loop as state-space matrices A, B, C, D at each operating point"
     export.option("--format mat|npz|json", about, group=form, dest="form")
     export.option("--axis pitch|yaw", "plane (default: both)", without=["--c"])
     _add_operating_points(export, "nominal", without=["--c"])
     export.option("--out FILE", "where to write the matrices (default: <name of the design>.mat)", without=["--c"])
 
     examples = """\
-  simdesign bias nominal                   for the scenario's own wind
-  simdesign bias nominal --wind today.csv  for a measured wind
+  simdesign bias nominal                   bias for the scenario's own wind
+  simdesign bias nominal --wind today.csv  bias for a measured wind
 """
     bias = parser.command("bias", "Bias the pitch programme of a scenario for a wind", examples, _bias)
     bias.option("SCENARIO", "scenario file (.toml), or name of a built-in scenario")
     bias.option("--wind PROFILE", "measured wind over altitude (.csv), instead of the scenario's")
-    about = "share of the wind's angle of attack that the bias removes, 0 to 1 (default: 1)"
+    about = "share of the wind's angle of attack to remove, 0 to 1 (default: 1)"
     bias.option("--share X", about, type=partial(_between, 1e-9, most=1.0))
     bias.option("--out FILE", "where to write (default: <name of the scenario>-biased.csv)")
 
@@ -202,7 +206,7 @@ def _optimise(
         return makes[0]().code
     from maxq.tools.verify.run import execute_cases  # noqa: PLC0415  # lazy
 
-    return execute_cases(makes, suite, not no_pictures)
+    return execute_cases(makes, suite, not no_pictures, command.end if command.alone else None)
 
 
 def _analyse(*, no_pictures: bool = False, **given: Any) -> int:

@@ -59,7 +59,12 @@ def _build(name: str, *, out: str | None = None, compare: str | None = None) -> 
             raise ScenarioError(name, str(error)) from None
         built, files, gains = write_with_first_gains(built, folder, progress.show)
         progress.show("drawing the page", 0, 0)
-        files.append(write_whole(folder / "vehicle.html", page(built)))
+        code, outcome = Exit.OK, f"BUILT: {gains.text}"
+        if weak := too_weak(built):
+            code, outcome = Exit.FAILED, f"TOO WEAK: {'; '.join(weak)}"
+        elif not gains.hold:
+            code, outcome = Exit.FAILED, f"UNSTABLE: {gains.text}"
+        files.append(write_whole(folder / "vehicle.html", page(built, outcome, passed=code == Exit.OK)))
     tell(report(built))
     if compare is not None:
         try:
@@ -68,15 +73,14 @@ def _build(name: str, *, out: str | None = None, compare: str | None = None) -> 
             raise ScenarioError("--compare", str(error)) from None
     tell(f"\n{len(files)} files in {folder}/")
     tell(gains.text)
-    if weak := too_weak(built):
-        tell(f"TOO WEAK: {'; '.join(weak)}")
-        return Exit.FAILED
-    if not gains.hold:
+    if code == Exit.OK:
+        tell(f"BUILT: {layout.name}; fly it with: simrun {folder}/scenario.toml")
+    elif weak:
+        tell(outcome)
+    else:
         what = f"design it with: simdesign {folder}/case.toml, or give another control.rigid_hz in the layout"
         tell(f"UNSTABLE: {layout.name}; {gains.text}; {what}")
-        return Exit.FAILED
-    tell(f"BUILT: {layout.name}; fly it with: simrun {folder}/scenario.toml")
-    return Exit.OK
+    return code
 
 
 command = Command("simvehicle", _run, "interrupted; nothing written")

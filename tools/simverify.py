@@ -92,7 +92,7 @@ def _verify(designs: tuple[str, ...] = (), check: str | None = None, allowed: st
         raise CommandError("give a DESIGN, e.g. simverify ksr3-robust, or a pack with --check")
     from maxq.tools.verify.run import execute  # noqa: PLC0415  # lazy, too
 
-    return execute(designs, **given)
+    return execute(designs, end=command.end if command.alone else None, **given)
 
 
 command = Command("simverify", _run, "interrupted; finished results are kept, and the same command resumes")

@@ -7,6 +7,7 @@ imports nothing, so that its import is fast.
 MAX_STAGES = 8
 MAX_PENDULUMS = 8  # slosh modes of all tanks of a stage; also the largest number of tanks
 MAX_ENGINES = 9  # per stage
+MAX_BOOSTERS = MAX_ENGINES  # per stage with section loads
 MAX_MODES = 12  # per stage: modes of each plane, and spatial modes
 MAX_SURFACES = 8  # lifting surfaces per stage
 MAX_LOAD_STATIONS = 24  # stations per stage at which section loads are evaluated

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
+import scipy  # its submodules are imported at first use
 
 from maxq.control.kernel.records import Array
 
@@ -92,7 +92,7 @@ def lowest_above(weights: Array, floor: Array) -> Array:
     floor, cost = np.maximum(floor, GAIN_BOUNDS[0]), weights.sum(axis=0)
     found = None
     if np.isfinite(floor).all():  # infinite if an engine has no control authority
-        found = linprog(cost, A_ub=-weights, b_ub=-floor, bounds=GAIN_BOUNDS, method="highs-ds")
+        found = scipy.optimize.linprog(cost, A_ub=-weights, b_ub=-floor, bounds=GAIN_BOUNDS, method="highs-ds")
     if found is None or found.x is None:
         raise UnsolvableError(
             f"rigid_hz, rigid_zeta: no schedule of gains up to {GAIN_BOUNDS[1]:g} is above {floor.max():.4g} at the "

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
+import scipy  # its submodules are imported at first use
 
 from maxq.design.loop.own_part import centre_of, folded_hz
 from maxq.design.model.state_space import ComplexArray, StateSpace

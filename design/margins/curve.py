@@ -10,7 +10,7 @@ Intervals over which the phase of L or of 1 + L turns by more than TURN_RAD are 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -96,10 +96,6 @@ class LoopCurve:
     def lowest_radps(self) -> float:
         """Return the frequency below which poles count as drift, rad/s."""
         return float(2.0 * np.pi * self.frequency_hz[0])
-
-    def with_points(self, frequency_hz: Array, loop: ComplexArray) -> LoopCurve:
-        """Return the same curve with the given points."""
-        return replace(self, frequency_hz=frequency_hz, loop=loop)
 
 
 @formula

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.linalg
-import scipy.optimize
+import scipy  # its submodules are imported at first use
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array, IntArray

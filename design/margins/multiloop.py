@@ -17,7 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
+import scipy  # its submodules are imported at first use
 
 from maxq.control.kernel.records import Array
 from maxq.design.loop.multiloop import Multiloop
@@ -74,7 +74,24 @@ def _begin_hz(open_poles: ComplexArray) -> float:
 
 
 def _least_disk(loop: Multiloop, frequencies_hz: Array) -> tuple[float, float]:
-    """Return alpha / 2 and its frequency in Hz.
+    """Return alpha / 2 and its frequency in Hz, by a search between the frequencies next to that of the greatest mu."""
+    best, hz, low, high = _greatest(loop, frequencies_hz)
+    if len(loop.axes) < 3:  # the bound is mu, and that of all points takes little longer than that of one
+        while high - low > _CLOSE * high:
+            found, at_hz, low, high = _greatest(loop, np.linspace(low, high, 17))
+            best, hz = max((best, hz), (found, at_hz))
+        return 0.5 / best, hz
+    near = scipy.optimize.minimize_scalar(
+        lambda f: -structured_singular_value(_half(loop, np.array([f]))[0]),
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": _CLOSE * high},
+    )
+    return (0.5 / -near.fun, float(near.x)) if -near.fun > best else (0.5 / best, hz)
+
+
+def _greatest(loop: Multiloop, frequencies_hz: Array) -> tuple[float, float, float, float]:
+    """Return the greatest mu, its frequency, and the frequencies next to it.
 
     The exact mu is computed only where its bound by balancing exceeds the greatest value found so far.
     """
@@ -88,13 +105,7 @@ def _least_disk(loop: Multiloop, frequencies_hz: Array) -> tuple[float, float]:
         found = structured_singular_value(matrices[k])
         best, at = max((best, at), (found, int(k)))
     low, high = frequencies_hz[max(at - 1, 0)], frequencies_hz[min(at + 1, len(frequencies_hz) - 1)]
-    near = scipy.optimize.minimize_scalar(
-        lambda f: -structured_singular_value(_half(loop, np.array([f]))[0]),
-        bounds=(low, high),
-        method="bounded",
-        options={"xatol": 1e-9 * high},
-    )
-    return (0.5 / -near.fun, float(near.x)) if -near.fun > best else (0.5 / best, float(frequencies_hz[at]))
+    return best, float(frequencies_hz[at]), float(low), float(high)
 
 
 def _half(loop: Multiloop, frequencies_hz: Array) -> ComplexArray:

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import scipy.optimize
+import scipy  # its submodules are imported at first use
 
 from maxq.control.kernel.records import Array
 from maxq.design.margins.multiloop import log_scales

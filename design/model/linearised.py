@@ -46,8 +46,6 @@ from maxq.sim.vehicle.block import Sizes
 from maxq.sim.vehicle.workspace import PROPERTIES_SIZE
 
 OUTPUTS = ("delta_pitch_rad", "delta_yaw_rad", "local_rate_pitch_radps", "local_rate_yaw_radps")
-WINDS = ("wind_x_mps", "wind_y_mps", "wind_z_mps")
-"""The last inputs of `differentiate`: the velocity of the air in B."""
 
 _SETTLING_M = 1e-4
 _STEP_R, _STEP_V, _STEP_TURN, _STEP_W = 8.0, 0.5, 4e-3, 1e-2
@@ -147,6 +145,17 @@ def inputs_of(sizes: Any) -> tuple[str, ...]:
 
 def coordinates_of(sizes: Any) -> dict[str, float]:
     """Return the names of a stage's coordinates, in order, with the first step of the differences in each."""
+    counts = sizes.item()
+    if counts not in _COORDINATES:
+        _COORDINATES[counts] = _coordinates_of(sizes)
+    return dict(_COORDINATES[counts])
+
+
+_COORDINATES: dict[tuple[int, ...], dict[str, float]] = {}
+"""The results of `coordinates_of`, which each operating point requests several times."""
+
+
+def _coordinates_of(sizes: Any) -> dict[str, float]:
     pitch, yaw, spatial, tanks = (int(sizes[k]) for k in ("pitch_modes", "yaw_modes", "spatial_modes", "pendulums"))
     flat = layout.state_names(Sizes(0, 0, 0, 0))[layout.ACTUATOR : layout.N_FIXED]
     groups: list[tuple[Sequence[str], float]] = [

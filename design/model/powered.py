@@ -43,7 +43,9 @@ def loss_text(loss: Event) -> str:
 
 
 def powered_flight(scenario: LoadedScenario, faults: bool = False) -> tuple[tuple[Span, ...], Event | None]:
-    """Return the powered span of each stage and the loss, from a flight up to the last burnout or the loss.
+    """Return the powered span of each stage and the loss, from a flight to the last burnout, a cutoff or the loss.
+
+    After a cutoff, there are no spans: operating points are those of the first burn.
 
     The flight is simulated without a log. The latest results are cached, since callers request spans, times and loss of
     one flight in turn.
@@ -62,8 +64,10 @@ _LATEST: deque[tuple[LoadedScenario, bool, tuple[tuple[Span, ...], Event | None]
 def _powered_flight(scenario: LoadedScenario, faults: bool) -> tuple[tuple[Span, ...], Event | None]:
     run, loss = flown_run(scenario, faults), None
     last = len(run.packed.parameters) - 1
-    while not run.finished and loss is None and int(run.memory.clock.stage_burnout_ns[last]) < 0:
+    clock, cut_off = run.memory.clock, False
+    while not (run.finished or cut_off) and loss is None and int(clock.stage_burnout_ns[last]) < 0:
         run.fly_segment()
+        cut_off = int(clock.restarts) > 0 or 0 < int(clock.cut_off_ns) <= int(clock.now_ns)
         loss = loss_of(run.events)
     burnout_ns = int(run.memory.clock.stage_burnout_ns[last])
     if loss is not None and 0 <= burnout_ns < loss.time_ns:

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its submodules are imported at first use
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
 from maxq.control.kernel.records import Array
 from maxq.design.loop.fixed_path import FixedPath
@@ -90,7 +90,7 @@ class PathMesh:
     x: Array
     path: ComplexArray
     ratios: dict[str, ComplexArray]  # ratio of each other measurement to BASE
-    spline: PPoly  # of Re ln P and Im ln P, then of Re ln and Im ln of each ratio
+    spline: scipy.interpolate.PPoly  # of Re ln P and Im ln P, then of Re ln and Im ln of each ratio
 
 
 def mesh_of(path: FixedPath, kept_hz: Array, tolerance: float = TOLERANCE) -> PathMesh:
@@ -125,10 +125,12 @@ def mesh_of(path: FixedPath, kept_hz: Array, tolerance: float = TOLERANCE) -> Pa
     spline = _spline(x, known)
     # Taylor coefficients at the left end of each interval (BSpline is continuous from the right)
     orders = [spline.derivative(k)(x[:-1]) / math.factorial(k) if k else spline(x[:-1]) for k in range(6)]
-    return PathMesh(x, known[0], dict(zip(names, known[1:], strict=True)), PPoly(np.stack(orders[::-1]), x))
+    return PathMesh(
+        x, known[0], dict(zip(names, known[1:], strict=True)), scipy.interpolate.PPoly(np.stack(orders[::-1]), x)
+    )
 
 
-def _spline(x: Array, responses: ComplexArray) -> BSpline:
+def _spline(x: Array, responses: ComplexArray) -> scipy.interpolate.BSpline:
     """Return the splines of Re ln and Im ln of each row of `responses`, as columns.
 
     Raises ValueError for values that are not finite.
@@ -136,7 +138,7 @@ def _spline(x: Array, responses: ComplexArray) -> BSpline:
     if not np.isfinite(responses).all():
         raise ValueError("the response of a plant is not finite")
     columns = [part for row in responses for part in (np.log(np.abs(row)), np.unwrap(np.angle(row)))]
-    return make_interp_spline(x, np.stack(columns, axis=1), k=5)
+    return scipy.interpolate.make_interp_spline(x, np.stack(columns, axis=1), k=5)
 
 
 def _first_frequencies(path: FixedPath, top_hz: float, kept_hz: Array) -> Array:

@@ -26,8 +26,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
-from scipy.optimize import nnls
+import scipy  # its submodules are imported at first use
 
 from maxq.control.kernel.records import Array
 from maxq.design.optimise.curves import CurveIndices
@@ -255,7 +254,7 @@ def optimality(problem: Problem, at: ProblemAtPoint, worst_violation: bool = Fal
     sums = np.zeros(len(columns))
     sums[: len(lead)] = WEIGHT
     system = np.vstack([columns.T, sums])
-    found = nnls(system, np.append(np.zeros(n), WEIGHT))[0]
+    found = scipy.optimize.nnls(system, np.append(np.zeros(n), WEIGHT))[0]
     total = float(found[: len(lead)].sum())
     found = found / total if total > 0.0 else found
     multipliers = np.zeros(len(rows))

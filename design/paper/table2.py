@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+import scipy  # its submodules are imported at first use
 
 from maxq.control.kernel.records import Array
 from maxq.design.model.node import Node
@@ -48,7 +48,11 @@ class DerivativeTable:
         if not first <= time_s <= last:
             holds = f"{self.source or 'the table'} holds {first:g} s to {last:g} s"
             raise ValueError(f"operating point at {time_s:g} s: {holds}")
-        row = self.values[0] if len(self.time_s) == 1 else PchipInterpolator(self.time_s, self.values)(time_s)
+        row = (
+            self.values[0]
+            if len(self.time_s) == 1
+            else scipy.interpolate.PchipInterpolator(self.time_s, self.values)(time_s)
+        )
         return dict(zip(COLUMNS, (float(x) for x in row), strict=True))
 
 

@@ -22,6 +22,7 @@ from maxq.design.model.node import Node
 from maxq.design.model.powered import powered_spans
 from maxq.design.verify.memory import PartsOnDisk
 from maxq.design.verify.suite import LoadedSuite, SuiteFlight
+from maxq.sim.input.documents import index_in
 from maxq.sim.input.errors import ScenarioError, suggestion
 from maxq.sim.input.values import Section
 from maxq.sim.run.fly import fly
@@ -37,6 +38,8 @@ NAMES = (
     "limit_wind",  # wind profile of the suite's key
     "stage",  # number of the stage, from 0; stage marks and those after ignition only with each_stage
     "outer_engine",  # number of the core engine farthest from the axis, if there are several; only with each_stage
+    "outer_booster",  # number of the booster farthest from the axis
+    "booster_stage",  # number of the stage, if boosters leave at its end
     "burnout_s",  # burnout of the last stage
     "sample_s",  # sample period of the first stage's computer
     "longer_s",  # half of the sample, or less if the computer's delay requires it
@@ -72,7 +75,7 @@ def fit(loaded: LoadedSuite, base: LoadedScenario, memory: PartsOnDisk) -> Loade
     suite = loaded.suite
     texts = [str(d.limit) for d in suite.dispersed_limit]
     for f in suite.flight:
-        texts += [f.name, *f.set, *map(str, f.scale.values()), *map(str, f.add.values())]
+        texts += [f.name, *f.set, *(str(text) for table in (f.scale, f.add) for text in (*table, *table.values()))]
     plain = not any(f.each_stage or f.scale or f.add or "*" in "".join(f.set) for f in suite.flight)
     if plain and not suite.every and not any(_MARK.search(text) for text in texts):
         return loaded
@@ -83,12 +86,17 @@ def fit(loaded: LoadedSuite, base: LoadedScenario, memory: PartsOnDisk) -> Loade
     flights, left_out = [], []
     for given in suite.flight:
         every = given.model_copy(update={"set": (*suite.every, *given.set)})
-        for marks in [{**whole, **stage} for stage in stages] if given.each_stage else [whole]:
+        missed: list[tuple[str, str]] = []  # stage and reason
+        places = [{**whole, **stage} for stage in stages] if given.each_stage else [whole]
+        for marks in places:
             try:
                 flights.append(_fitted(every, base, marks, loaded.label, len(stages)))
             except _Missing as missing:
                 stage = f", stage {int(marks['stage']) + 1}" if given.each_stage and len(stages) > 1 else ""
-                left_out.append(f"{given.name}{stage}: {missing}")
+                missed.append((stage, str(missing)))
+        if len(missed) == len(places) and len({reason for _, reason in missed}) == 1:
+            missed = [("", missed[0][1])]
+        left_out += [f"{given.name}{stage}: {reason}" for stage, reason in missed]
     limits, asked = [], [r.name or r.metric for r in base.scenario.requirement]
     for one in suite.dispersed_limit:
         if one.requirement in asked or suggestion(one.requirement, asked):
@@ -124,7 +132,8 @@ def _fitted(flown: SuiteFlight, base: LoadedScenario, marks: Marks, label: str, 
         wanted += [] if found else [key]
         changes += [f"{path}{equals}{value}" for path in found]
     for table, how in ((flown.scale, operator.mul), (flown.add, operator.add)):
-        for key, given in table.items():
+        for pattern, given in table.items():
+            key = _filled(pattern, marks, label, where)
             by = _number(given, marks, label, where)
             places = [(path, value) for path, value in _places(base.scenario, key.split(".")) if value is not None]
             wanted += [] if places else [key]
@@ -151,7 +160,8 @@ def _places(at: Any, parts: list[str], path: str = "") -> Iterator[tuple[str, An
         return
     part, *rest = parts
     if isinstance(at, tuple):
-        for n, one in enumerate(at) if part == "*" else ((int(part), at[int(part)]),) if part.isdecimal() else ():
+        known = range(len(at)) if part == "*" else (index_in(part, len(at)),)
+        for n, one in ((n, at[n]) for n in known if n is not None):
             yield from _places(one, rest, f"{path}.{n}")
     elif isinstance(at, Section) and part == "*":
         yield from _places(at, rest, path)
@@ -236,8 +246,20 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
         if len(engines) > 1:
             off = [math.hypot(*engine.offset_m) for engine in engines]
             mine["outer_engine"] = int(np.argmax(off))
+        mine |= _of_boosters(base, span.stage)
         stages.append(mine)
     return out, stages
+
+
+def _of_boosters(base: LoadedScenario, number: int) -> Marks:
+    """Return the marks of a stage with boosters, and of one that boosters leave at its end."""
+    stage, following = base.vehicle.stage[number], base.vehicle.stage[number + 1 : number + 2]
+    out: Marks = {}
+    if stage.booster:
+        out["outer_booster"] = int(np.argmax([math.hypot(*booster.position_m) for booster in stage.booster]))
+    if following and stage.leaving(following[0]):
+        out["booster_stage"] = number
+    return out
 
 
 def _tones_hz(node: Node) -> dict[str, float]:

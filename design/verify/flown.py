@@ -30,7 +30,7 @@ from maxq.sim.flight.metric_table import unit_of
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import Verdict
-from maxq.sim.run.quantities import sign_of
+from maxq.sim.run.quantities import number_text, sign_of
 from maxq.sim.scenario.flight_code import flight_code_key
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_scenario import LogSection, Scenario
@@ -183,7 +183,7 @@ def _by_design(scenario: Scenario) -> Scenario | None:
 def _said(v: Verdict) -> str:
     """Return the name, value and unit of a flight's requirement as text."""
     unit = unit_of(v.requirement.metric)
-    return f"{v.name} {v.value:.4g}" + (f" {unit}" if unit != "1" else "")
+    return f"{v.name} {number_text(v.value)}" + (f" {unit}" if unit != "1" else "")
 
 
 def flight_requirements(results: Sequence[FlownResult]) -> list[JudgedRequirement]:

@@ -321,18 +321,19 @@ class DesignOutcome:
 def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] = ()) -> Design:
     """Return the design to be written, from one solution per stage.
 
-    Roll control, and stages that were not designed, are taken from the scenario's own design. `missed` contains the
-    stages, from 0, that miss limits along the design's own flight.
+    The description begins with that of the case and continues with the form and the result of each stage. Roll control,
+    and stages that were not designed, are taken from the scenario's own design. `missed` contains the stages, from 0,
+    that miss limits along the design's own flight.
     """
     case, points, base = loaded.case, loaded.points, loaded.base
     own, stages = (None, 1) if base is None else (base.design, len(base.vehicle.stage))
-    made = []
+    forms, results = list[tuple[str, str, str]](), list[str]()  # of each stage
     for n, solution in sorted((s.nodes[0].stage, s) for s in solutions):
         mine, where = solution.case, f"stage {n + 1}: " if stages > 1 else ""
         met = solution.feasible and n not in missed
-        reached = f"{objective_text(solution)}; {solution.met if met else 'limits are missed'}"
-        made.append(f"{where}{mine.filter.structure}, {mine.gains.schedule} gains, {mine.loop} loop; {reached}")
-    text = ". ".join([*made, case.description] if case.description else made)
+        forms.append((mine.filter.structure, mine.gains.schedule, mine.loop))
+        results.append(f"{where}{objective_text(solution)}; {solution.met if met else 'limits are missed'}")
+    text = described(case.description, forms, results)
 
     def alone(solution: Solution) -> Design:
         stage, at_s = solution.nodes[0].stage, tuple(node.time_s for node in solution.nodes)
@@ -393,6 +394,18 @@ def with_law(own: Design, other: Design) -> Design:
         if (table := getattr(own.gains, key)) is not None
     }
     return own.model_copy(update={"gains": own.gains.model_copy(update=tables), "load_relief": other.load_relief})
+
+
+def described(purpose: str, forms: Sequence[tuple[str, str, str]], results: Sequence[str]) -> str:
+    """Return the description of a design: its purpose, and the form and the result of each stage.
+
+    A form is the names of the filter, the gain schedule and the loop model. Equal names of gains or loops are not
+    repeated.
+    """
+    filters, gains, kinds = zip(*forms, strict=True)
+    form = f"filter {'/'.join(filters)}, {'/'.join(dict.fromkeys(gains))} gains, {'/'.join(dict.fromkeys(kinds))} loop"
+    first = f"{purpose.rstrip('.')} ({form})" if purpose else form
+    return ". ".join([first, *(text[0].upper() + text[1:] for text in results)])
 
 
 def objective_text(solution: Solution) -> str:

@@ -172,11 +172,12 @@ class PartsOnDisk:
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
         self._recalled: list[tuple[str, Callable[[], Any], str]] = []  # name, function and hash of the result
+        self._stored: dict[Path, str] = {}  # hashes of the parts that this object computed, by file
         self.worked_out = 0
 
     @property
     def recalled(self) -> int:
-        """Return the number of parts that were read from the folder."""
+        """Return the number of parts of earlier computations that were read from the folder."""
         return len(self._recalled)
 
     @property
@@ -205,13 +206,16 @@ class PartsOnDisk:
             if checksum.decode() == _digest(rest) and rest.startswith(key.encode()):
                 text = rest[len(key) + 1 :]
                 found: T = from_plain(json.loads(text))
-                self._recalled.append((f"{kind} {label}".rstrip(), work_out, _digest(text)))
+                if self._stored.get(path) != _digest(text):
+                    self._recalled.append((f"{kind} {label}".rstrip(), work_out, _digest(text)))
                 return found
         except (OSError, ValueError, TypeError, ImportError, LookupError, AttributeError, RecursionError):
             pass  # the file is missing or not written by `to_plain`
         found = work_out()
         self.worked_out += 1
-        rest = f"{key}\n".encode() + text_of(found)
+        text = text_of(found)
+        self._stored[path] = _digest(text)
+        rest = f"{key}\n".encode() + text
         with contextlib.suppress(FileError):  # without write access, only time is lost
             write_whole(path, _digest(rest).encode() + b"\n" + rest)
         return found

@@ -66,6 +66,8 @@ def burn_out(p: Parameters, memory: Memory, y: Array) -> None:
     burnout.time_ns = clock.now_ns
     vec.set_vector(burnout.r_I_m, 0, vec.vector_at(y, R_I))
     vec.set_vector(burnout.v_I_mps, 0, vec.vector_at(y, V_I))
+    if clock.cut_off_ns == 0 and p.computer.burns.count > 0:
+        memory.computer.burns.depleted = 1
     if clock.cut_off_ns > 0 and memory.computer.burns.number + 1 < p.computer.burns.count:
         return
     clock.event_ns[BURNOUT] = -1  # the burnout of the last stage counts
@@ -86,7 +88,7 @@ def restart(memory: Memory) -> None:
     clock.cut_off_ns, clock.ignite_ns = 0, 0
     clock.stage_burnout_ns[clock.stage] = -1
     clock.fresh, clock.next_break_ns = 1, clock.now_ns
-    memory.held.burning = 1
+    memory.held.burning, memory.held.settling_N, clock.pending_settling_N = 1, 0.0, 0.0
 
 
 @routine
@@ -112,7 +114,7 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
         burn_out(p, memory, y)
         changed = 1
     if held.on_pad == 1 and now >= p.timeline.release_ns:
-        lift_off(p.launch, memory.launch, held, y)
+        lift_off(p.launch, memory.launch, held, y, now)
         record_event(p, memory, LIFTOFF, now)
     if now >= memory.faults.next_ns:
         liftoff_ns = clock.event_ns[LIFTOFF]

@@ -22,6 +22,9 @@ from maxq.sim.world.earth import Earth, earth_rotation, inertial_to_earth
 RAIL_EXIT = 100  # after the events of parameters.py, which are part of a flight's state
 
 
+WATCHED_NS = 2_000_000_000  # after the release of a clamp
+
+
 @dataclass(frozen=True)
 class Launch:
     """The parameters of the launch.
@@ -52,6 +55,8 @@ class LaunchMemory:
     - `clearance_m`, `drift_m`: least distance to the tower, and largest horizontal displacement of the tail below the
       tower's top, with their times.
     - `clear`: 1 after the tail has passed the top.
+    - `watched_ns`: end of the time after the release of a clamp in which `bending_radps` is gathered.
+    - `bending_radps`: largest rate of bending at the gyro then.
     """
 
     rail_x_m: float
@@ -63,6 +68,9 @@ class LaunchMemory:
     drift_m: float
     drift_ns: int
     clear: int
+    watched_ns: int
+    bending_radps: float
+    bending_ns: int
 
 
 @kernel
@@ -70,6 +78,7 @@ def start_launch(state: LaunchMemory) -> None:
     """Set the launch to its start."""
     state.rail_exit_ns, state.clearance_ns, state.drift_ns, state.clear = -1, -1, -1, 0
     state.clearance_m, state.drift_m = math.inf, 0.0
+    state.watched_ns, state.bending_ns, state.bending_radps = -1, -1, 0.0
 
 
 @kernel
@@ -81,11 +90,21 @@ def along_axis(y: Array) -> float:
 
 
 @routine
-def lift_off(launch: Launch, state: LaunchMemory, held: Held, y: Array) -> None:
-    """Release the vehicle from the pad, and begin the guidance by the rail if there is a rail."""
-    held.on_pad = 0
+def lift_off(launch: Launch, state: LaunchMemory, held: Held, y: Array, now_ns: int) -> None:
+    """Release the vehicle, which its rail continues to guide if there is one."""
+    if held.clamped == 1:
+        state.watched_ns = now_ns + WATCHED_NS
+    held.on_pad, held.clamped = 0, 0
     if launch.rail_m > 0.0:
         held.on_rail, state.rail_x_m = 1, along_axis(y)
+
+
+@kernel
+def track_release(state: LaunchMemory, bending_radps: Array, now_ns: int) -> None:
+    """Update the largest rate of bending (about y, z) after the release of a clamp."""
+    rate_radps = math.hypot(bending_radps[0], bending_radps[1])
+    if rate_radps > state.bending_radps:
+        state.bending_radps, state.bending_ns = rate_radps, now_ns
 
 
 @routine

@@ -18,7 +18,7 @@ from maxq.sim.flight.telemetry import Logged, fill_fast, fill_slow
 from maxq.sim.vehicle.block import Q_BI, counts
 from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainly, flight_direction
 from maxq.sim.vehicle.loads.kernel import evaluate_sections, gather_sections
-from maxq.sim.vehicle.schedule import CORE_CG, CORE_MASS, TOTAL_MASS, properties_size
+from maxq.sim.vehicle.schedule import TOTAL_MASS, properties_size
 from maxq.sim.vehicle.state import FINITE, divergence_cause, state_size
 from maxq.sim.vehicle.workspace import Evaluation
 from maxq.sim.world.gust_history import history_start
@@ -83,7 +83,7 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
     burns = p.timeline.burn_start_ns <= now < p.timeline.burnout_ns + clock.idle_ns and not cut_off
     memory.held.burning = 1 if burns else 0
     if cut_off:  # cutoff in an earlier stage, of which a part has been dropped; the gimbals remain centred
-        clock.stage_burnout_ns[clock.stage] = clock.cut_off_ns
+        clock.stage_burnout_ns[clock.stage] = clock.cut_off_ns + p.timeline.decay_ns
 
 
 @entry
@@ -214,11 +214,12 @@ def track_sections(p: Parameters, pool: Array, memory: Memory, space: step.Works
     if not due and (logged == 0 or (now % p.timeline.slow_ns != 0 and last == 0)):
         return
     clock_s = step.schedule_clock(p, memory.clock, now, 0.0)
-    evaluate_sections(p.loads, p.vehicle, memory.inputs, pool, clock_s, at, space.work, space.columns, sections)
+    mass, cg_m = evaluate_sections(
+        p.loads, p.vehicle, memory.inputs, pool, clock_s, at, space.work, space.columns, sections
+    )
     if due:
         sections.due_ns = (now // p.loads.period_ns + 1) * p.loads.period_ns
         if memory.held.burning == 1 or memory.held.on_pad == 1 or p.loads.coast == 1:
-            mass, cg_m = at.properties[CORE_MASS], at.properties[CORE_CG]
             gather_sections(
                 p.loads, counts(p.vehicle.sizes), memory.clock.stage, now, mass, cg_m, space.columns, sections
             )
@@ -287,7 +288,7 @@ def apply_event(p: Parameters, memory: Memory, y: Array, event: int) -> None:
         leave_rail(p.environment.earth, memory.launch, memory.held, y, memory.clock.now_ns)
         return
     if event == LIFTOFF:
-        lift_off(p.launch, memory.launch, memory.held, y)
+        lift_off(p.launch, memory.launch, memory.held, y, memory.clock.now_ns)
     if event == APOGEE:
         memory.clock.climbing = 0
     events.record_event(p, memory, event, memory.clock.now_ns)

@@ -98,13 +98,16 @@ class StepMetrics(NamedTuple):
 
 
 class LaunchMetrics(NamedTuple):
-    """The metrics of the launch; nan without a tower and a rail, respectively."""
+    """The metrics of the launch; nan without a tower, a rail and a clamp, respectively."""
 
     min_tower_clearance_m: Annotated[float, "m", "least distance of the vehicle to the tower; negative: contact"]
     max_tower_drift_m: Annotated[
         float, "m", "largest horizontal displacement of the nozzle exit plane until it has passed the top of the tower"
     ]
     rail_exit_speed_mps: Annotated[float, "m/s", "speed relative to the Earth at the end of the rail"]
+    max_release_bending_degps: Annotated[
+        float, "deg/s", "largest angular rate by bending at the gyro in the 2 s after the release of a clamped tail"
+    ]
 
 
 class CutoffMetrics(NamedTuple):

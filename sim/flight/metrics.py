@@ -12,7 +12,7 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_PENDULUMS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import vector_at
-from maxq.sim.flight.launch import track_tower
+from maxq.sim.flight.launch import track_release, track_tower
 from maxq.sim.flight.metric_table import N_METRICS, MetricIndex
 from maxq.sim.flight.parameters import Extremes, Memory, Parameters
 from maxq.sim.vehicle.derivative import StageRecord
@@ -55,11 +55,13 @@ def gather(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: Evalua
     thrust_N = aux.engines.axial_thrust_N
     thrust_g = thrust_N / props[TOTAL_MASS] / STANDARD_GRAVITY_MPS2
     raise_to(extremes, METRIC.max_thrust_over_weight_g, thrust_g, now_ns)
-    sensed = (aux.aero_force_B_N[0] + thrust_N) / props[TOTAL_MASS]
+    sensed = (aux.aero_force_B_N[0] + thrust_N + memory.held.settling_N) / props[TOTAL_MASS]
     raise_to(extremes, METRIC.max_axial_load_g, abs(sensed) / STANDARD_GRAVITY_MPS2, now_ns)
     _gather_bending(extremes, p.vehicle.sizes, now_ns, aux)
     if p.launch.tower_m > 0.0 and memory.launch.clear == 0:
         track_tower(p.environment.earth, p.launch, memory.launch, y, props, now_ns)
+    if now_ns <= memory.launch.watched_ns:
+        track_release(memory.launch, aux.gyro_bending_radps, now_ns)
     if memory.held.burning == 0 or memory.held.on_pad == 1:
         return
     raise_to(extremes, METRIC.max_powered_dynamic_pressure_Pa, q, now_ns)

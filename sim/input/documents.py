@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -137,6 +137,32 @@ def merge(base: TomlTable, over: TomlTable) -> None:
         else:
             base[key] = value
             base.sources[key] = over.sources.get(key, over.source)
+
+
+def append(base: TomlTable, more: TomlTable, at: KeyPath = ()) -> None:
+    """Append the elements of the lists in `more`, the table `append` of a file, to the lists of `base`.
+
+    Tables are entered; a list that `base` lacks is created. Errors in an element name it as the file contains it.
+    """
+    for key, value in more.items():
+        path, below, source = (*at, key), base.get(key), more.sources.get(key, more.source)
+        shown = replace(source, within=(*source.within, *path), shown_as=(*source.shown_as, "append", *path))
+        if below is None and isinstance(value, TomlTable | TomlArray):
+            below = base[key] = TomlTable(shown) if isinstance(value, TomlTable) else TomlArray(shown)
+            base.sources[key] = shown
+        if isinstance(value, TomlTable) and isinstance(below, TomlTable):
+            append(below, value, path)
+            continue
+        if not isinstance(value, TomlArray):
+            raise shown.error(shown.within, "is no list", value=value, allowed="a list, or [[...]]")
+        if not isinstance(below, TomlArray):
+            raise shown.error(
+                shown.within, "the extended file has no list there", allowed=f"{'.'.join(map(str, path))} itself"
+            )
+        for k, item in enumerate(value):
+            element = replace(source, within=(*shown.within, len(below)), shown_as=(*shown.shown_as, k))
+            below.sources[len(below)] = element
+            below.append(adopt(item, element))
 
 
 def _step(tree: TomlTable | TomlArray, part: str | int, path: KeyPath, source: Source) -> Any:

@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from maxq.sim.input.documents import COMMAND_LINE, Source, Text, TomlArray, TomlTable, drop, merge, parse
+from maxq.sim.input.documents import COMMAND_LINE, Source, Text, TomlArray, TomlTable, append, drop, merge, parse
 from maxq.sim.input.errors import ScenarioError, refuse, suggestion
 
 DATA_FOLDERS = ("vehicles", "designs", "winds", "campaigns", "suites", "layouts", "points")
@@ -52,6 +52,9 @@ WANTED = {
     "points": "a file of published derivatives (.toml)",
 }
 """The allowed forms of a name, by the kind of file."""
+
+DOCUMENT_KEYS = ("extends", "unset", "append")
+"""The keys by which a file changes another one."""
 
 PARTS = ("vehicle", "design")
 """The parts of a scenario that may be named by file instead of given as tables."""
@@ -338,12 +341,17 @@ class Reading:
         return self.document(path, shown(path), role, chain)
 
     def extended(self, table: TomlTable, role: str, chain: tuple[Path, ...] = ()) -> TomlTable:
-        """Return `table` merged over the file that its key `extends` names, without the keys in `unset`."""
+        """Return `table` merged over the file that its key `extends` names.
+
+        The keys in `unset` are removed before, and the elements of the lists in `append` are added at the end.
+        """
         source, within = table.source, (role,) if role in PARTS else ()
-        name, unset = table.pop("extends", None), table.pop("unset", None)
+        name, unset, more = (table.pop(key, None) for key in DOCUMENT_KEYS)
         if name is None:
             if unset is not None:
                 raise source.error((*within, "unset"), "there is nothing to remove keys from", allowed="with extends")
+            if more is not None:
+                raise source.error((*within, "append"), "there is no list to append to", allowed="with extends")
             return table
         where = (*within, "extends")
         if not isinstance(name, Text):
@@ -355,6 +363,10 @@ class Reading:
             raise source.error((*within, "unset"), "has the wrong type", value=unset, allowed=allowed)
         for item in unset or ():
             drop(base, tuple(item.split(".")), source, (*within, "unset"))
+        if not isinstance(more, TomlTable | None):
+            allowed = "a table of lists, e.g. [[append.flight]]"
+            raise source.error((*within, "append"), "has the wrong type", value=more, allowed=allowed)
         merge(base, table)
         base.source = source
+        append(base, more or TomlTable(source))
         return base

@@ -67,7 +67,7 @@ class Section(BaseModel):
     that would control a terminal.
     """
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(defer_build=True, strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
     renamed: ClassVar[dict[str, str]] = {}
     """The current names of keys by their earlier names; "" for an obsolete key."""
     earlier: ClassVar[dict[str, str]] = {}

@@ -23,14 +23,14 @@ from maxq.sim.packing.faults import pack_faults
 from maxq.sim.packing.initial import initial_motion, thrust_exceeds_weight_s
 from maxq.sim.packing.integration import step_ns
 from maxq.sim.packing.launch import pack_launch, pack_navigation
-from maxq.sim.packing.schedule import mass_at, stage_sizes, vehicle_schedule
+from maxq.sim.packing.schedule import carried_boosters, mass_at, stage_sizes, vehicle_schedule
 from maxq.sim.packing.separation import modal_transfer, part_at
 from maxq.sim.packing.vehicle import pack_vehicle
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Separation, Stage
 from maxq.sim.vehicle.engine.allocation import pack_allocation
 from maxq.sim.vehicle.engine.burn import Burn, burn_rate, leaving, stage_burns
-from maxq.sim.vehicle.loads.packing import pack_loads
+from maxq.sim.vehicle.loads.packing import CarriedBoosters, pack_loads
 from maxq.sim.vehicle.state import MAX_STATE, W_BI_B, Sizes, start_states
 
 CONTROL_LOST_RAD = math.radians(45.0)
@@ -88,7 +88,8 @@ def pack_flight(scenario: Scenario) -> Packed:
         handed_on = NONE if n == 0 or frozen else _handed_on(stages, burns, all_sizes, n, pool)
         goes_on = int(stage.continues) * (DROPS if n > 0 and leaving(stages, n - 1) else 1)
         timeline = _timeline(scenario, stage, burn, stage_start_ns, burns_later, handed_on, goes_on)
-        loads = pack_loads(scenario, stage, burn, sizes, pool)
+        carried = carried_boosters(stage, burn, sizes) if stage.loads is not None else CarriedBoosters()
+        loads = pack_loads(scenario, stage, burn, sizes, pool, carried)
         if not stage.continues:
             ignition_ns = timeline.burn_start_ns
         guided = all(later.continues for later in stages[n + 1 :]) and not frozen
@@ -104,6 +105,7 @@ def pack_flight(scenario: Scenario) -> Packed:
     memory = blank(Memory)
     memory["clock"]["now_ns"] = to_ns(scenario.run.start_s)
     memory["held"]["on_pad"] = int(scenario.held)
+    memory["held"]["clamped"] = int(scenario.held and scenario.holddown.clamped)
     widest = Sizes(*map(max, zip(*map(_counts, all_sizes), strict=True)))
     starts_ns = [row.timeline.stage_start_ns for row in rows]
     return Packed(parameters, pool.array(), memory, y, widest, tuple(_booster_burns(stages, burns, starts_ns)))

@@ -22,6 +22,7 @@ from maxq.sim.vehicle.air.packing import surface_bodies, surface_stations
 from maxq.sim.vehicle.body.section import joined, squares
 from maxq.sim.vehicle.engine.burn import NOMINAL, Burn, burn_rate, table_time_s
 from maxq.sim.vehicle.engine.packing import Mount, cluster_of, engine_mounts, on_clock, swinging, thrust_curves
+from maxq.sim.vehicle.loads.packing import CarriedBoosters
 from maxq.sim.vehicle.modes.masses import turning
 from maxq.sim.vehicle.modes.packing import Carried, Places, mode_values, spatial_values
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
@@ -96,14 +97,8 @@ def mass_at(stage: Stage, burn: Burn, time_s: float) -> tuple[float, ...]:
 def _core(stage: Stage, burn: Burn, hanging: Sequence[Pendulum], method: Method, moving_cg: bool) -> Cubics:
     """Return the columns CORE_MASS to MASS_FLOW of the schedule."""
     cores, totals = [], []
-    for b, body in enumerate(stage.bodies):
-        own = [pendulum for pendulum in hanging if pendulum.body == b]
-        tanks, beside = [pendulum.joined for pendulum in own], [pendulum.tank.position_m for pendulum in own]
-        total = fit(*body.mass.rows(body.ignition_s if b == 0 else 0.0), method)
-        core = merge([total])
-        if tanks:
-            breaks = union(total, *tanks)
-            core = fit(breaks, without_bobs(total.at(breaks), [tank.at(breaks) for tank in tanks], beside), method)
+    for b in range(len(stage.bodies)):
+        core, total = _body(stage, b, hanging, method)
         cores.append(on_clock(core, burn.of(b)))
         totals.append(on_clock(total, burn.of(b)))
     core, total = cores[0], totals[0]
@@ -118,6 +113,29 @@ def _core(stage: Stage, burn: Burn, hanging: Sequence[Pendulum], method: Method,
     outflow.coefficients[:] *= -1.0
     # order: core mass, CG, inertia | rates of CG and inertia | total mass, mass flow
     return merge([core, _columns(rates, list(range(1, 10))), mass, outflow])
+
+
+def _body(stage: Stage, b: int, hanging: Sequence[Pendulum], method: Method) -> tuple[Cubics, Cubics]:
+    """Return mass, CG and inertia of a body without and with its bobs, over the clock of its tables."""
+    body, own = stage.bodies[b], [pendulum for pendulum in hanging if pendulum.body == b]
+    tanks, beside = [pendulum.joined for pendulum in own], [pendulum.tank.position_m for pendulum in own]
+    total = fit(*body.mass.rows(body.ignition_s if b == 0 else 0.0), method)
+    core = merge([total])
+    if tanks:
+        breaks = union(total, *tanks)
+        core = fit(breaks, without_bobs(total.at(breaks), [tank.at(breaks) for tank in tanks], beside), method)
+    return core, total
+
+
+def carried_boosters(stage: Stage, burn: Burn, sizes: Sizes) -> CarriedBoosters:
+    """Return the mass properties of the boosters without their bobs; y and z are from the axis of the vehicle."""
+    hanging, nominal = pendulums(stage)[: sizes.pendulums], []
+    for b, booster in enumerate(stage.booster, start=1):
+        own = _body(stage, b, hanging, stage.interpolation)[0]
+        coefficients = own.coefficients.copy()
+        coefficients[:, 0, 2:4] += np.array(booster.position_m)
+        nominal.append(Cubics(own.breaks, coefficients))
+    return CarriedBoosters(nominal, [on_clock(own, burn.of(b)) for b, own in enumerate(nominal, start=1)])
 
 
 def _together(bodies: Sequence[Cubics], places: Sequence[tuple[float, float]]) -> Cubics:

@@ -18,7 +18,8 @@ from maxq.sim.input.remembered import cached_by_identity
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.engine.burn import Burn, table_time_s
 from maxq.sim.vehicle.modes.masses import products, solved
-from maxq.sim.vehicle.modes.packing import ModeShapes, gauss, spatial_shapes
+from maxq.sim.vehicle.modes.packing import gauss
+from maxq.sim.vehicle.modes.shapes import ModeShapes, spatial_shapes
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 from maxq.sim.vehicle.state import Sizes
 

@@ -408,9 +408,10 @@ class FlightRun:
     def _of_launch(self, times_s: dict[str, float]) -> dict[str, float]:
         """Return the metrics of the launch, and write their times into `times_s`."""
         launch, scenario = self.packed.memory["launch"][0], self.loaded.scenario
-        values = launch.clearance_m, launch.drift_m, launch.rail_exit_mps
-        times_ns = launch.clearance_ns, launch.drift_ns, launch.rail_exit_ns
-        measured = scenario.tower is not None, scenario.tower is not None, launch.rail_exit_ns >= 0
+        values = launch.clearance_m, launch.drift_m, launch.rail_exit_mps, math.degrees(launch.bending_radps)
+        times_ns = launch.clearance_ns, launch.drift_ns, launch.rail_exit_ns, launch.bending_ns
+        tower = scenario.tower is not None
+        measured = tower, tower, launch.rail_exit_ns >= 0, launch.watched_ns >= 0
         found = {
             name: float(value) if known else math.nan
             for name, value, known in zip(LaunchMetrics._fields, values, measured, strict=True)

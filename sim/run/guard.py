@@ -45,7 +45,7 @@ _SOCKET_S = 5.0  # additional time limit for a socket, which has a separate time
 _POLL_S = 0.05
 _FORK = threading.RLock()  # reentrant, because a garbage collection may release a worker while the lock is held
 _idle: list[Worker] = []
-_lines: set[Any] = set()  # the connections to workers, at the end of this process
+_lines: dict[Any, int] = {}  # the connections to workers, and the process at the other end of each
 _leaving: set[int] = set()  # ids of processes that are ending
 
 
@@ -57,7 +57,7 @@ class Worker:
         self._room = mmap.mmap(-1, size)
         with _FORK:
             self._line, theirs = Pipe()
-            _lines.add(self._line)
+            _lines[self._line] = 0  # closed in the other process
             for stream in (sys.stdout, sys.stderr):  # otherwise, both processes would write the buffered output
                 with contextlib.suppress(OSError, ValueError, AttributeError):
                     stream.flush()
@@ -65,6 +65,7 @@ class Worker:
             if self._pid == 0:
                 _Flying(theirs, self._room, computer, kinds).serve()
             theirs.close()
+            _lines[self._line] = self._pid
         self._answers = select.poll()
         self._answers.register(self._line.fileno(), select.POLLIN)
 
@@ -106,7 +107,7 @@ class Worker:
 
     def end(self) -> None:
         """Close the connection, which ends the process."""
-        _lines.discard(self._line)
+        _lines.pop(self._line, None)
         self._line.close()
         if self._pid > 0:
             _leaving.add(self._pid)
@@ -140,6 +141,7 @@ class Worker:
                 self._seen["fault"][0] = STUCK
                 break
         self._pid = 0
+        _lines[self._line] = 0
         return False, ""
 
 
@@ -177,6 +179,13 @@ def _reap() -> None:
 def _end_idle() -> None:
     while _idle:
         _idle.pop().end()
+
+
+def kill_workers() -> None:
+    """Kill all worker processes, because this process is about to end without the usual cleanup."""
+    for pid in filter(None, (*_lines.values(), *_leaving)):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
 
 
 def _forget() -> None:

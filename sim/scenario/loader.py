@@ -37,6 +37,7 @@ from maxq.sim.input.documents import (
 )
 from maxq.sim.input.errors import ScenarioError, suggestion
 from maxq.sim.input.files import (
+    DOCUMENT_KEYS,
     FOLDERS,
     PARTS,
     WANTED,
@@ -158,7 +159,7 @@ def load_scenario_text(text: str, overrides: Iterable[str] = (), label: str = AS
     """
     parsed = [parse_override(item) for item in overrides]
     tree = parse(text, Source(label))
-    for key in ("extends", "unset"):
+    for key in DOCUMENT_KEYS:
         if key in tree:
             raise ScenarioError(label, "a scenario given as text must be self-contained", key, value=tree[key])
     if isinstance(tree.get("design"), dict):  # from an earlier version of maxq

@@ -10,12 +10,11 @@ from pydantic.fields import FieldInfo
 
 from maxq.sim.input.documents import COMMAND_LINE, TomlTable, source_of
 from maxq.sim.input.errors import NOTHING, Path, ScenarioError, suggestion
-from maxq.sim.input.files import PARTS, WANTED
+from maxq.sim.input.files import DOCUMENT_KEYS, PARTS, WANTED
 from maxq.sim.input.tables_csv import Columns
 from maxq.sim.input.values import LIST_FORM, TABLE_FORM, Section
 
-_DOCUMENT_KEYS = ("extends", "unset")
-_SCENARIO_KEYS = (*_DOCUMENT_KEYS, *(f"{part}_overrides" for part in PARTS))
+_SCENARIO_KEYS = (*DOCUMENT_KEYS, *(f"{part}_overrides" for part in PARTS))
 """The keys that the loader consumes before the schema reads the document."""
 
 _PROBLEMS = {
@@ -34,6 +33,7 @@ _NOW, OBSOLETE = "is now ", "is obsolete"
 _IN_FILES_ONLY = {
     "extends": 'a file of your own that begins with, e.g., extends = "nominal"',
     "unset": "--set KEY= to remove a key, or a file of your own with extends and unset",
+    "append": "a file of your own with extends and append",
 }
 
 
@@ -111,9 +111,9 @@ def _unknown_key(path: Path, model: type[Section]) -> tuple[str, str]:
         new = section.renamed[str(path[-1])]
         return f"{_NOW}{new}" if new else OBSOLETE, ""
     if path[:-1] == ():
-        known += _SCENARIO_KEYS if "vehicle" in model.model_fields else _DOCUMENT_KEYS
+        known += _SCENARIO_KEYS if "vehicle" in model.model_fields else DOCUMENT_KEYS
     elif len(path) == 2 and path[0] in PARTS:
-        known += _DOCUMENT_KEYS
+        known += DOCUMENT_KEYS
     if path[-1] in _IN_FILES_ONLY and path[-1] in known:
         return "works in a file only", _IN_FILES_ONLY[str(path[-1])]
     hint = _elsewhere(str(path[-1]), model) if len(path) == 1 else ""

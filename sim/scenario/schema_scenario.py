@@ -200,7 +200,7 @@ class Run(Section):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("seed of all noise", 1)
     start_s: Seconds = optional("vehicle clock at the start, s, whole ns", 0.0)
     freeze_vehicle_at_s: Seconds | None = optional(
-        "vehicle clock at which mass, thrust and modes are frozen, s (default: never)"
+        "vehicle clock at which mass, thrust and modes are frozen, without cutoff, s (default: never)"
     )
     stop_at: tuple[Ending, ...] = optional("events that end the flight; burnout: that of the last stage", ("impact",))
 
@@ -247,6 +247,10 @@ class HoldDown(Section):
 
     release: Literal["thrust", "time"] = optional("release when thrust exceeds weight, or at release_s", "thrust")
     release_s: Seconds | None = optional('vehicle clock of the release, s, for release = "time"')
+    clamped: bool = optional(
+        "the vehicle is clamped at its first gimbal and bends on it (off: the body is held, and its modes are free)",
+        False,
+    )
 
     def _check(self) -> None:
         self.only_with(("release_s",), self.release == "time", "release = 'time'")
@@ -547,6 +551,16 @@ class Scenario(Section):
                 ("holddown", "release"),
                 value="thrust",
             )
+        if not self.holddown.clamped:
+            return
+        first, key = self.vehicle.stage[0], ("holddown", "clamped")
+        if not self.held or self.rail is not None:
+            problem = "the vehicle is not held on a pad"
+            raise refuse(problem, "with held = true in [initial], and without [rail]", key, value=True)
+        if not first.engines:
+            raise refuse("the first stage has no gimbal", "a stage with an engine", key, value=True)
+        if first.spatial_modes is not None:
+            raise refuse("a clamp of spatial modes is not modelled", "planar modes", key, value=True)
 
     def _check_section_loads(self) -> None:
         if self.switches.section_loads and not any(stage.loads for stage in self.vehicle.stage):

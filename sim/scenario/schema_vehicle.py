@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, Tag, model_validator
 
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS, MAX_SENSORS, MAX_STAGES, MAX_SURFACES
+from maxq.control.kernel.limits import MAX_BOOSTERS, MAX_ENGINES, MAX_PENDULUMS, MAX_SENSORS, MAX_STAGES, MAX_SURFACES
 from maxq.control.structures import Attitude
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.values import TABLE_FORM, NotNegative, Period, Positive, Seconds, Section, Triple, optional
@@ -337,7 +337,7 @@ class Stage(Section):
         self._check_stations()
         self._check_spatial_modes()
         if self.loads is not None:
-            gimbal_station_m = min((engine.gimbal_station_m for engine in self.engines), default=None)
+            gimbal_station_m = min((engine.gimbal_station_m for engine in self.own_engines), default=None)
             check_loads(self.loads, gimbal_station_m, names)
 
     def _check_spatial_modes(self) -> None:
@@ -358,10 +358,13 @@ class Stage(Section):
         if len(self.engines) > MAX_ENGINES:
             problem, allowed = f"{len(self.engines)} engines in all", f"up to {MAX_ENGINES} of core and boosters"
             raise refuse(problem, allowed, "booster", value=len(self.booster))
-        if self.booster and self.loads is not None:
+        if len(self.booster) > MAX_BOOSTERS and self.loads is not None:
             raise refuse(
-                "section loads of a stage with boosters are not modelled", "a stage without", "loads", value={}
+                "too many boosters for section loads", f"up to {MAX_BOOSTERS}", "booster", value=len(self.booster)
             )
+        if self.booster and self.loads is not None and self.spatial_modes is not None:
+            problem = "section loads of boosters on spatial modes are not modelled"
+            raise refuse(problem, "planar modes", "spatial_modes", value={})
         lifting = sum(b.aero is not None and "CN_alpha_pr" in b.aero.table for b in self.booster)
         own = len(self.aero.surface) + len(self.aero.coefficients) if self.aero is not None else 0
         if lifting and own + lifting > MAX_SURFACES:

@@ -79,7 +79,7 @@ def accelerate(
         u, tension, tank = vec.vector_at(y, first + slosh.N_PENDULUM * k), unknown[k], record_at(work.tank, k)
         accel = vec.add(accel, vec.scaled(inverse_mass * tension, u))
         alpha = vec.add(alpha, vec.scaled(tension, vec.vector_at(tank.alpha_radps2pN, 0)))
-        _add_tension_to_modes(sizes, k, tension * u[1], tension * u[2], properties, planar)
+        add_tension_to_modes(sizes, k, tension * u[1], tension * u[2], properties, planar)
         if sizes.spatial_modes > 0:
             shapes = bare_pointer(tank.shapes_along_rod)
             add_tension_to_spatial(sizes, properties, shapes, tension, bare_pointer(spatial.accel_mps2))
@@ -134,7 +134,7 @@ def _add_damper_to_modes(sizes: Counts, k: int, tank: slosh.TankWork, properties
 
 
 @kernel
-def _add_tension_to_modes(
+def add_tension_to_modes(
     sizes: Counts, k: int, force_y: float, force_z: float, properties: Array, modes: PlanarMotion
 ) -> None:
     """Add the effect of the lateral force of tank k's rod to the modal accelerations."""

@@ -27,7 +27,7 @@ from maxq.control.kernel.vectors import (
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle import state as states
 from maxq.sim.vehicle.accelerations import accelerate
-from maxq.sim.vehicle.actuator.kernel import Actuator, actuator_motion, actuator_rates
+from maxq.sim.vehicle.actuator.kernel import Actuator, actuator_motion, actuator_rates, resisted_acceleration
 from maxq.sim.vehicle.air.kernel import (
     Aero,
     air_acts,
@@ -39,6 +39,7 @@ from maxq.sim.vehicle.air.kernel import (
 )
 from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, are_usual, counts, rigid_counts, usual_counts
 from maxq.sim.vehicle.body import kernel as rigid
+from maxq.sim.vehicle.clamp import clamp_tail
 from maxq.sim.vehicle.engine.kernel import (
     Deflected,
     Engine,
@@ -58,7 +59,7 @@ from maxq.sim.vehicle.environment import (
     rail_acceleration,
     winds_along_body,
 )
-from maxq.sim.vehicle.faults import N_FAULT_SLOTS
+from maxq.sim.vehicle.faults import ACTUATOR_FAULT, N_FAULT_SLOTS, STUCK
 from maxq.sim.vehicle.modes.planar import (
     Bending,
     Modes,
@@ -123,6 +124,7 @@ class Held:
 
     on_pad: int  # 1: held down
     on_rail: int  # 1: guided by the launch rail
+    clamped: int  # 1: held at the tail alone, on the pad
     burning: int
     command_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # command to the actuators: pitch and yaw of each group
     engine_rad: Annotated[Array, (2 * MAX_ENGINES,)]  # angles at the start of the step, the memory of the play
@@ -204,6 +206,8 @@ def derivative(
         _derivative(vehicle, usual_counts(sizes), environment, pool, held, inputs, at, work)
     else:
         _rigid_derivative(vehicle, environment, pool, held, inputs, at, work)
+    if vehicle.tvc_load.stalls == 1:
+        stall_actuators(vehicle, vehicle.sizes, held, at.y, at.dy, at.aux)
 
 
 @rare_routine
@@ -367,22 +371,34 @@ def _derivative(
             work.system,
             aux.tvc_loads,
         )
+    if held.clamped == 1:
+        force, moment = clamp_tail(
+            vehicle.sizes,
+            environment.earth,
+            vehicle.engine.gimbal_station_m[0],
+            rotation,
+            balanced.offset,
+            balanced.inverse_inertia,
+            pad,
+            force,
+            moment,
+            properties,
+            y,
+            work,
+        )
+    fixed = held.on_pad - held.clamped
     specific_force, alpha = accelerate(
-        sizes, held.on_pad + held.on_rail, balanced, force, moment, pad, properties, y, pendulums, work
+        sizes, fixed + held.on_rail, balanced, force, moment, pad, properties, y, pendulums, work
     )
 
-    rigid.kinematics(
-        environment.earth, held.on_pad, rotation, rate, specific_force, alpha, gravitation, properties, y, dy
+    rigid.kinematics(environment.earth, fixed, rotation, rate, specific_force, alpha, gravitation, properties, y, dy)
+    actuator_rates(vehicle.actuator_pitch, held.faults, 0, y, states.ACTUATOR, held.command_rad[0], dy)
+    actuator_rates(
+        vehicle.actuator_yaw, held.faults, 1, y, states.ACTUATOR + states.N_ACTUATOR, held.command_rad[1], dy
     )
-    load, e, system, at_yaw = vehicle.tvc_load, vehicle.engine, work.system, states.ACTUATOR + states.N_ACTUATOR
-    against = resistance(load, e, sizes, 0, system)
-    actuator_rates(vehicle.actuator_pitch, held.faults, 0, y, states.ACTUATOR, held.command_rad[0], against, dy)
-    against = resistance(load, e, sizes, 1, system)
-    actuator_rates(vehicle.actuator_yaw, held.faults, 1, y, at_yaw, held.command_rad[1], against, dy)
     for k in range(2 * sizes.further_groups):
         i = states.actuator_index(sizes, 1) + states.N_ACTUATOR * k
-        against = resistance(load, e, sizes, 2 + k, system)
-        actuator_rates(vehicle.further_actuators[k], held.faults, 2 + k, y, i, held.command_rad[2 + k], against, dy)
+        actuator_rates(vehicle.further_actuators[k], held.faults, 2 + k, y, i, held.command_rad[2 + k], dy)
     bend_y, bend_z = bending_rate_at_gyro(sizes, properties, modes.planar)
     local = (rate[0], rate[1] + bend_y, rate[2] + bend_z)
     if sizes.spatial_modes > 0:
@@ -409,6 +425,24 @@ def _derivative(
     set_vector(aux.specific_force_B_mps2, 0, specific_force)
     set_vector(aux.alpha_BI_B_radps2, 0, alpha)
     aux.gyro_bending_radps[0], aux.gyro_bending_radps[1] = bend_y, bend_z
+
+
+@rare_routine
+def stall_actuators(vehicle: StageRecord, of: Sizes, held: Held, y: Array, dy: Array, aux: Aux) -> None:
+    """Write the accelerations of the servos against the torques of their engines."""
+    sizes = counts(of)
+    loads = states.tvc_load_index(sizes)
+    for channel in range(2 + 2 * sizes.further_groups):
+        against = resistance(vehicle.tvc_load, vehicle.engine, sizes, channel, y, loads, held.faults, aux.tvc_loads)
+        if against == 0.0 or held.faults[ACTUATOR_FAULT + channel] == STUCK:
+            continue
+        a, i = vehicle.actuator_pitch, states.ACTUATOR + states.N_ACTUATOR * channel
+        if channel == 1:
+            a = vehicle.actuator_yaw
+        if channel > 1:
+            a, i = vehicle.further_actuators[channel - 2], i - 2 * states.N_ACTUATOR - states.ACTUATOR
+            i += states.actuator_index(sizes, 1)
+        dy[i + 1] = resisted_acceleration(a, held.faults, channel, y, i, held.command_rad[channel], against)
 
 
 @kernel
@@ -445,11 +479,17 @@ def engine_motion(
 def further_motion(e: Engine, of: Sizes, properties: Array, work: Work, aux: Aux) -> None:
     """Write the deflected engines after the first to `work`."""
     for k in range(1, of.engines):
-        pitch, yaw = aux.engines.channel[2 * e.group[k]], aux.engines.channel[2 * e.group[k] + 1]
-        if of.tvc_loads > 0 and e.swings[k] >= 0:
-            pitch, yaw = aux.tvc_loads.swing[2 * e.swings[k]], aux.tvc_loads.swing[2 * e.swings[k] + 1]
-        axis, axis_rate, axis_accel = engine_axis_motion(e, k, pitch, yaw)
-        put_deflected(work.engine[k], deflected_engine(e, k, axis, axis_rate, axis_accel, properties))
+        put_deflected(work.engine[k], moved_engine(e, of, k, properties, aux))
+
+
+@kernel
+def moved_engine(e: Engine, of: Sizes, k: int, properties: Array, aux: Aux) -> Deflected:
+    """Return engine k as its group, or its TVC load, moves it; after the derivative with the solved acceleration."""
+    pitch, yaw = aux.engines.channel[2 * e.group[k]], aux.engines.channel[2 * e.group[k] + 1]
+    if of.tvc_loads > 0 and e.swings[k] >= 0:
+        pitch, yaw = aux.tvc_loads.swing[2 * e.swings[k]], aux.tvc_loads.swing[2 * e.swings[k] + 1]
+    axis, axis_rate, axis_accel = engine_axis_motion(e, k, pitch, yaw)
+    return deflected_engine(e, k, axis, axis_rate, axis_accel, properties)
 
 
 @kernel

@@ -10,6 +10,7 @@ import gc
 import os
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable
 from enum import IntEnum
@@ -25,6 +26,9 @@ FIRST = ("nominal", "campaigns/first", "ksr3-identical", "ksr3-default", "standa
 """The built-in files for beginners, which --list names first."""
 TRACEBACK = "MAXQ_TRACEBACK"
 """The environment variable that makes an error print its traceback too."""
+GRACE_S = 3.0
+"""The time within which an interrupted command must end in an orderly way before it is ended."""
+_POLL_S = 0.2
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # options of glibc's malloc.h, in bytes
 
 
@@ -98,13 +102,17 @@ def _say_notes(command: str) -> None:
 def show_list(kinds: dict[str, str]) -> int:
     """Print the names and descriptions of built-in files, for the option --list. Return the exit code.
 
-    `kinds` maps each kind (a key of FOLDERS in sim/input/files.py) to the title above its files.
+    `kinds` maps each kind (a key of FOLDERS in sim/input/files.py) to the title above its files. All descriptions begin
+    in the same column.
     """
     from maxq.sim.input.files import builtin_files  # noqa: PLC0415  # lazy: --help is quick
 
-    for kind, title in kinds.items():
-        files = sorted(builtin_files(kind).items(), key=lambda item: (item[0] not in FIRST, "/" in item[0], item[0]))
-        tell(title, *aligned([(name, _description(path)) for name, path in files], "  "))
+    found = {kind: builtin_files(kind) for kind in kinds}
+    width = max(len(name) for files in found.values() for name in files)
+    for k, (kind, title) in enumerate(kinds.items()):
+        files = sorted(found[kind].items(), key=lambda item: (item[0] not in FIRST, "/" in item[0], item[0]))
+        rows = [(name.ljust(width), _description(path)) for name, path in files]
+        tell(*[""] * (k > 0), title, *aligned(rows, "  "))
     return Exit.OK
 
 
@@ -131,19 +139,25 @@ class Interruption:
     With `at_once`, the first signal raises as well. A library's callback may suppress the exception (compilers print
     "Exception ignored"); regular calls of `check` raise it again. Outside the main thread, where Python has no signals,
     the block changes nothing.
+
+    If the block is still active `GRACE_S` after the first signal, because a call takes minutes, another thread calls
+    `last_resort`, which ends the process (`Command.end`).
     """
 
-    def __init__(self, *, at_once: bool = False) -> None:
+    def __init__(self, *, at_once: bool = False, last_resort: Callable[[], object] | None = None) -> None:
         self.requested = False
-        self._at_once = at_once
+        self._at_once, self._last_resort, self._over = at_once, last_resort, threading.Event()
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
         with contextlib.suppress(ValueError):  # not the main thread
             self._before = {number: signal.signal(number, self._strike) for number in (signal.SIGINT, signal.SIGTERM)}
+        if self._last_resort is not None:  # started here, because a signal handler may interrupt a thread's start
+            threading.Thread(target=self._limit, args=(self._last_resort,), daemon=True).start()
         return self
 
     def __exit__(self, *error: object) -> None:
+        self._over.set()
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
@@ -160,6 +174,13 @@ class Interruption:
             self.requested = True
             raise KeyboardInterrupt
         self.requested = True
+
+    def _limit(self, last_resort: Callable[[], object]) -> None:
+        while not self.requested:
+            if self._over.wait(_POLL_S):
+                return
+        if not self._over.wait(GRACE_S):
+            last_resort()
 
 
 class Command:
@@ -178,6 +199,11 @@ class Command:
     def __call__(self) -> NoReturn:
         self.alone = True
         process(self.main)
+
+    def end(self, text: str = "") -> NoReturn:
+        """End the process as interrupted, whatever its threads are computing. `text` replaces the usual message."""
+        say(self._name, text or self._interrupted)
+        os._exit(Exit.INTERRUPTED)
 
     def main(self, arguments: list[str] | None = None) -> int:
         """Run the command with these arguments (None: those of the process). Return the exit code."""

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -31,7 +31,6 @@ from maxq.design.operating_points import published_nodes
 from maxq.design.optimise.over_time import instants_beside
 from maxq.design.paper.errata_effects import Effect, errata_effects, peaks_db
 from maxq.design.paper.nodes import PaperNode
-from maxq.design.verify.dispersed_limits import WorstOfBasis, worst_of_basis
 from maxq.design.verify.judging import (
     Check,
     JudgedLoop,
@@ -53,7 +52,6 @@ from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import Exit
 from maxq.tools.cli.terminal import Progress, aligned, tell
-from maxq.tools.design.page import DesignPage, other_plane, write_page
 from maxq.tools.design.report import (
     KINDS,
     AnalysisOrder,
@@ -66,6 +64,9 @@ from maxq.tools.design.report import (
     uncovered_table,
     write_record,
 )
+
+if TYPE_CHECKING:
+    from maxq.design.verify.dispersed_limits import WorstOfBasis
 
 RECORD_NAME, PAGE_NAME = "analysis.json", "analysis.html"
 _FILE_WIDTH = 1_000_000  # columns: no row of a file is folded
@@ -133,14 +134,12 @@ def execute(order: AnalysisOrder) -> int:
             files.append(write_record(folder / RECORD_NAME, record | {"not_covered": uncovered_record(gaps)}))
             if order.page:
                 progress.show("writing the page", 0, 1)
-                page = write_page(
-                    folder / PAGE_NAME, _page(name, order, scenario, design, groups, judged_by, verdict, gaps)
-                )
+                page = _write_page(folder, name, order, scenario, design, groups, judged_by, verdict, gaps)
                 files.append(page)
             if order.plots:
                 from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: Matplotlib, with --plots only
 
-                title = f"{scenario.vehicle.name}: {design.name or name}, {order.kind}"
+                title = f"{scenario.vehicle.name}, {design.name or name}, {order.kind} loop"
                 sheets = pictures.judged_sheets(judged, title, Wanted.stated_by(design, judged[0].node.stage))
                 files += pictures.draw_all(sheets, folder, progress.show)
     tell(analysis_report(name, order, design, groups, judged_by, loss))
@@ -151,7 +150,8 @@ def execute(order: AnalysisOrder) -> int:
     return Exit.OK if verdict.startswith("PASSED") else Exit.FAILED
 
 
-def _page(
+def _write_page(
+    folder: Path,
     name: str,
     order: AnalysisOrder,
     scenario: LoadedScenario,
@@ -160,10 +160,12 @@ def _page(
     judged_by: str,
     verdict: str,
     gaps: Sequence[Uncovered],
-) -> DesignPage:
+) -> Path:
+    from maxq.tools.design.page import DesignPage, other_plane, write_page  # noqa: PLC0415  # lazy: with pages only
+
     judged = [j for group in groups for j in group.judged]
     nodes = partial(_found, scenario, order, make=operating_points.nodes)
-    return DesignPage(
+    page = DesignPage(
         name=f"{name}: {design.name}" if design.name not in ("", name) else name,
         kind="Analysis of a control design",
         about=f"{judged_by[:1].upper()}{judged_by[1:]}.",
@@ -186,6 +188,7 @@ def _page(
         gaps=uncovered_lines(scenario.vehicle, gaps),
         command=_command(order),
     )
+    return write_page(folder / PAGE_NAME, page)
 
 
 def _command(order: AnalysisOrder) -> str:
@@ -227,6 +230,8 @@ def dispersed_checks(
     """
     if basis.robust is None or not flies_as_measured(order.kind, order.errata, order.plant):
         return None, []
+    from maxq.design.verify.dispersed_limits import worst_of_basis  # noqa: PLC0415  # lazy: with a robust basis only
+
     at = [j.flown for j in judged if j.time_s in points_s]
     beside = [j.flown for j in judged if j.time_s not in points_s]
     show = partial(progress.show, "searching dispersed vehicles")

@@ -26,6 +26,7 @@ _HIGHEST_DB = 50.0
 _FARTHEST = 3.4  # largest radius of Nyquist plots: |L| of 21 dB
 _SIGNS = {">=": "≥", "<=": "≤"}
 _LEAST_SPAN = 0.01  # least span of an axis, as a share of the values
+_STEPS = np.linspace(0.0, 1.0, 12, endpoint=False)[:, None]
 _OUTLINE = np.radians(np.arange(0.0, 360.0, 6.0))
 
 
@@ -55,14 +56,11 @@ def open_loop(judged: JudgedLoop, colours: dict[str, str], name: str = "L", **mo
         marks.append({"x": hz, "y": level_db, "y2": turn, "what": what, "name": text, "colour": colour})
 
     for m in picture.marks:
-        if m.is_lobe and abs(m.loop) > 10.0 ** (LOWEST_DB / 20.0):
+        if m.what != "lobe":
+            if m.text:
+                mark(m.frequency_hz, m.loop, m.what, m.text.split(",")[0], "limit")
+        elif abs(m.loop) > 10.0 ** (LOWEST_DB / 20.0):
             mark(m.frequency_hz, m.loop, "lobe", m.text, colours[m.text.split(", ")[0]])
-        elif m.text and not m.is_lobe:
-            mark(m.frequency_hz, m.loop, "gain" if "dB" in m.text else "phase", m.text.split(",")[0], "limit")
-    nearest = judged.margins.disks.sensitivity
-    if f[0] <= nearest.frequency_hz <= f[-1]:
-        value = complex(judged.loop.response(np.array([nearest.frequency_hz]))[0])
-        mark(nearest.frequency_hz, value, "least", f"{nearest.size:.3g}", "limit")
     hz, db, deg = (np.round(v[keep], digits) for v, digits in ((f, 5), (level, 2), (phase, 1)))
     return loop(hz, db, deg, name, marks, **more)
 
@@ -125,8 +123,8 @@ def bode_panels(every: Sequence[Series]) -> list[Panel]:
     reach, top = (_LOWEST_HZ, highest), min(float(level[drawn].max()) + 10.0, _HIGHEST_DB + 10.0)
     turns = (90.0 * math.floor(phase[visible].min() / 90.0), 90.0 * math.ceil(phase[visible].max() / 90.0))
     return [
-        Panel("gain |L|", [], "frequency, Hz", "dB", reach, (LOWEST_DB, max(top, 10.0)), log_x=True, plane="gain"),
-        Panel("phase of L", [], "frequency, Hz", "deg", reach, turns, log_x=True, plane="phase"),
+        Panel("Gain |L|", [], "frequency, Hz", "dB", reach, (LOWEST_DB, max(top, 10.0)), log_x=True, plane="gain"),
+        Panel("Phase of L", [], "frequency, Hz", "deg", reach, turns, log_x=True, plane="phase"),
     ]
 
 
@@ -158,25 +156,46 @@ def explorer(
             at=j.time_s,
             text=margins_text(j),
             first=size[n] == min(size),
-            limits={"nichols": zone_of(limits), "distance": _least(limits)},
+            limits={"nichols": zone_of(limits), "critical": zone_near_minus_one(limits), "distance": _least(limits)},
         )
         for n, (j, name, limits, plane) in enumerate(zip(judged, names, wanted, planes, strict=True))
     ]
     gain, phase = bode_panels(loops)
     reach = min(max(1.5, *(1.05 * _drawn_in(float(np.max(s["y"]))) for s in loops)), _FARTHEST)
-    nyquist = Panel("Nyquist", [], x_range=(-reach, reach), y_range=(-reach, reach), plane="nyquist", equal=True)
-    distance = Panel("distance to -1", [], "frequency, Hz", "|1 + L|", gain.x_range, (0.0, 2.0), log_x=True)
+    nyquist = Panel(
+        "Nyquist, logarithmic beyond 0 dB",
+        [],
+        x_range=(-reach, reach),
+        y_range=(-reach, reach),
+        plane="nyquist",
+        equal=True,
+    )
+    distance = Panel("Distance to -1", [], "frequency, Hz", "|1 + L|", gain.x_range, (0.0, 2.0), log_x=True)
     distance.plane = "distance"
+    critical = Panel(
+        "Nyquist near -1, to scale", [], "Re L", "Im L", (-1.6, 0.6), (-1.1, 1.1), plane="critical", equal=True
+    )
     nichols = nichols_panel(loops, [], "Nichols")
-    for panel, height in ((gain, 175), (phase, 175), (distance, 175), (nichols, 255), (nyquist, 332)):
+    panels = [gain, phase, distance, nichols, nyquist, critical]
+    for panel, height in zip(panels, (258, 258, 258, 258, 275, 260), strict=True):
         panel.height = height
     slider = "The slider chooses the operating point; left and right arrow keys move it. " if len(judged) > 1 else ""
     caption = (
         f"{slider}Red: the gain and phase margins, and the least |1 + L|. Nichols: over contours of |T| in dB and of "
-        "the phase of T. Nyquist: the radius is |L| up to 1 and 1 + ln |L| beyond."
+        "the phase of T. Nyquist: the radius is |L| up to 1 (0 dB) and 1 + ln |L| beyond; near -1, L is to scale."
     )
-    panels = [gain, phase, distance, nichols, nyquist]
     return Plot("loop", "Open loop", panels, caption, 2, 175, loops=loops, split=3)
+
+
+def zone_near_minus_one(wanted: Wanted) -> list[Series]:
+    """Return the zone of the Nichols plane in the plane of L, where |1 + L| is to scale."""
+    out = []
+    for zone in zone_of(wanted):
+        corners = np.stack([zone["x"], zone["y"]], axis=1)
+        outline = np.concatenate([a + (b - a) * _STEPS for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)])
+        size, angle = 10.0 ** (outline[:, 1] / 20.0), np.radians(outline[:, 0])
+        out.append(zone | {"x": size * np.cos(angle), "y": size * np.sin(angle)})
+    return out
 
 
 def _least(wanted: Wanted) -> list[Series]:
@@ -329,7 +348,7 @@ def filter_plot(vehicle: Vehicle, design: Design, nodes: Sequence[Node] = ()) ->
             gain.append(line(*thinned(hz, 20.0 * np.log10(np.maximum(np.abs(response), 1e-3))), name, **style))
             phase.append(line(*thinned(hz, np.degrees(np.unwrap(np.angle(response)))), name, **style))
     panels = []
-    for title, series, unit in (("gain", gain, "dB"), ("phase", phase, "deg")):
+    for title, series, unit in (("Gain", gain, "dB"), ("Phase", phase, "deg")):
         every = np.concatenate([np.asarray(s["y"], float) for s in series])
         low, high = float(every.min()), float(every.max())
         reach = (max(low, -60.0) - 3.0, high + 3.0) if unit == "dB" else (low - 10.0, high + 10.0)
@@ -346,6 +365,6 @@ def _mode_bands(nodes: Sequence[Node], low: float, high: float) -> list[Series]:
     for node in nodes:
         for k, omega in enumerate(node.vehicle.omega_radps):
             modes.setdefault(k, []).append(float(omega) / (2.0 * math.pi))
-    bands = [(min(hz), max(hz)) for hz in modes.values()]
+    bands = [(0.99 * min(hz), 1.01 * max(hz)) for hz in modes.values()]  # visible at a single point, too
     outlines = [[(a, low), (b, low), (b, high), (a, high)] for a, b in bands]
     return [shape(o, "bending modes over the flight", bare=True, fill="grey", opacity=0.25) for o in outlines]

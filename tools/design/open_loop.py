@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
 from maxq.design.certificate.response import decibels
+from maxq.design.margins.crossings import GainCrossings, PhaseCrossings
 from maxq.design.margins.distances import Zone
 from maxq.design.margins.lobes import Lobe
 from maxq.design.model.state_space import ComplexArray
@@ -20,12 +23,15 @@ LOWEST_HZ = 0.02
 
 @dataclass(frozen=True)
 class Mark:
-    """A marked point of the curve: the top of a lobe, or a crossing. A crossing that sets no margin has no text."""
+    """A named point of the curve: the top of a lobe, a crossing, or the point nearest to -1.
+
+    A crossing that sets no margin has no name.
+    """
 
     frequency_hz: float
     loop: complex
     text: str
-    is_lobe: bool = True
+    what: Literal["lobe", "gain", "phase", "least"] = "lobe"
 
 
 @dataclass(frozen=True)
@@ -48,8 +54,9 @@ def named(lobe: Lobe) -> str:
 
 
 def picture_of(judged: JudgedLoop, title: str, zones: Sequence[Zone] = ()) -> LoopPicture:
-    """Return the picture of the loop at an operating point: its lobes, and its crossings of 0 dB and the negative real
-    axis.
+    """Return the picture of the loop at an operating point.
+
+    It contains the lobes, the crossings of 0 dB and of the negative real axis, and the point nearest to -1.
     """
     margins, curve = judged.margins, judged.margins.curve
     f, loop = smooth(judged.loop.response, curve.frequency_hz, curve.loop)
@@ -66,10 +73,17 @@ def picture_of(judged: JudgedLoop, title: str, zones: Sequence[Zone] = ()) -> Lo
         margins.phase_deg.frequency_hz: f"{margins.phase_deg.value:.0f} deg",
     }
     inner = (phase.frequency_hz >= f[0]) & (phase.frequency_hz <= f[-1])
-    for crossings, chosen in ((gain, np.ones(len(gain.frequency_hz), bool)), (phase, inner)):
+    every = np.ones(len(gain.frequency_hz), bool)
+    crossed: tuple[tuple[Literal["phase", "gain"], GainCrossings | PhaseCrossings, NDArray[np.bool_]], ...]
+    crossed = ("phase", gain, every), ("gain", phase, inner)
+    for what, crossings, chosen in crossed:
         for hz, value in zip(crossings.frequency_hz[chosen], crossings.loop[chosen], strict=True):
             text = f"{binding[hz]}, {hz:.3g} Hz" if hz in binding else ""
-            marks.append(Mark(float(hz), complex(value), text, is_lobe=False))
+            marks.append(Mark(float(hz), complex(value), text, what))
+    nearest = margins.disks.sensitivity
+    if f[0] <= nearest.frequency_hz <= f[-1]:
+        value = judged.loop.response(np.array([nearest.frequency_hz]))[0]
+        marks.append(Mark(nearest.frequency_hz, complex(value), f"{nearest.size:.3g}", "least"))
     return LoopPicture(title, f, loop, marks, zones)
 
 

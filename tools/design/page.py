@@ -126,7 +126,6 @@ def write_page(path: Path, shown: DesignPage) -> Path:
     """Write the page, and return its path. Raises FileError."""
     from maxq.tools.pages.render import render  # noqa: PLC0415  # lazy: for the page only
 
-    word, _, said = shown.verdict.partition(": ")
     checks = [replace(c, text=_named(g.stage, c.text)) for g in shown.groups for c in g.checks]
     bounded = [c for c in checks if not c.passed or not drawn.is_stability(c)]
     first = sorted(bounded, key=lambda c: (c.passed, _nearest(c)))[:_TIGHTEST]
@@ -134,8 +133,6 @@ def write_page(path: Path, shown: DesignPage) -> Path:
         "design.html.j2",
         _plots(shown),
         shown=shown,
-        word=word,
-        said=f"{said[:1].upper()}{said[1:]}.",
         tone="good" if shown.passed else "bad",
         tightest=[(_sentence(c), _outcome(c)) for c in first],
         limits=[
@@ -180,8 +177,9 @@ def _cells(check: Check) -> tuple[str, str, str, str]:
     left = value - check.wanted if check.sense == ">=" else check.wanted - value
     left = 0.0 if check.passed and left < TOLERANCE else left
     at = f"{check.time_s[k]:g} s" if math.isfinite(check.time_s[k]) else "filter"
-    worst = f"{number_text(value)}{unit}" if math.isfinite(value) else "none"
-    return f"{check.sense} {check.wanted:g}{unit}", worst, f"{left:z.3g}{unit}" if math.isfinite(left) else "", at
+    worst = number_text(value) if math.isfinite(value) else "none"
+    margin = f"{left:z.{len(worst.partition('.')[2])}f}{unit}" if math.isfinite(left) else ""  # as exact as the value
+    return f"{check.sense} {check.wanted:g}{unit}", worst + unit * math.isfinite(value), margin, at
 
 
 def _row(check: Check) -> tuple[str, ...]:

@@ -195,7 +195,7 @@ def peaks_over_order(series: Mapping[str, Mapping[str, float]]) -> Figure:
     `series` maps the name of a design to its peaks (dB) by structure.
     """
     structures = sorted({structure for each in series.values() for structure in each})
-    figure, (place,) = sheet(1, 1, height_in=3.2)
+    figure, (place,) = sheet(1, 1, height_in=3.2, title="Peak of mode 1 by order of the filter")
     for k, (name, each) in enumerate(series.items()):
         at = [structures.index(structure) for structure in each]
         place.plot(at, list(each.values()), marker=MARKERS[k % len(MARKERS)], **curve(k), label=name)

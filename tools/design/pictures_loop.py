@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse, Polygon, Rectangle
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Polygon
 from matplotlib.ticker import MultipleLocator
 
 from maxq.control.kernel.records import Array
@@ -18,16 +22,32 @@ from maxq.tools.design.open_loop import BOTTOM_DB, LOWEST_HZ, LoopPicture, Mark,
 from maxq.tools.plots.palette import BLACK, BLUE, GREY, ON_LIGHT, PALE, RED
 from maxq.tools.plots.style import label, name_point, plain_numbers, sheet
 
+_MARGIN: dict[str, Any] = {"color": RED, "linewidth": 2.0}
+_ZONE: dict[str, Any] = {"facecolor": RED, "alpha": 0.15, "edgecolor": RED}
+_OF_LOBES = tuple(colour for colour in ON_LIGHT if colour not in (BLUE, RED))
+_TURN = np.radians(np.arange(0.0, 360.0, 3.0))
 TOP_DB = 50.0  # upper limit of Bode and Nichols plots
 
 
 def draw_loop(picture: LoopPicture) -> Figure:
-    """Draw the Bode plot on the left, and the Nichols and Nyquist plots on the right."""
-    figure, places = sheet(2, 2, height_in=3.3, width_in=8.4)
+    """Draw the Bode plot and |1 + L| on the left, and Nichols, Nyquist and the neighbourhood of -1 on the right."""
+    figure, places = sheet(3, 2, height_in=2.9, width_in=8.4, title=f"Open loop: {picture.title}")
     _bode(picture, places[0], places[2])
-    draw_nichols(picture, places[1])
+    _distance(picture, places[4])
+    _nichols(picture, places[1])
     _nyquist(picture, places[3])
-    figure.suptitle(picture.title, fontsize=10)
+    _near_minus_one(picture, places[5])
+    grey = Line2D([], [], color=PALE, linewidth=1.2, label="|T| in dB, phase of T (Nichols); |L| in dB (Nyquist)")
+    cross = Line2D([], [], color=BLACK, marker="+", markersize=9, markeredgewidth=1.8, linestyle="none", label="-1")
+    shown: list[Artist] = [
+        Line2D([], [], color=BLUE, label="L"),
+        Line2D([], [], **_MARGIN, label="margin"),
+        cross,
+        grey,
+    ]
+    if picture.zones:
+        shown.insert(3, Patch(**_ZONE, label="zone around -1"))
+    figure.legend(handles=shown, loc="outside lower left", ncols=len(shown))
     return figure
 
 
@@ -46,7 +66,7 @@ def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
     for at in np.arange(-180.0 - 360.0 * 12, 1000.0, 360.0):
         phase.axhline(at, color=GREY, linewidth=0.8, linestyle=":")
     bottom, top = max(float(level[f >= LOWEST_HZ].min()), BOTTOM_DB), float(level[f >= LOWEST_HZ].max())
-    gain.set_ylim(bottom, min(top + 24.0, TOP_DB + 10.0))
+    gain.set_ylim(bottom, min(top + 14.0, TOP_DB + 10.0))
     for place in (gain, phase):
         place.set_xscale("log")
         place.set_xlim(max(f[0], LOWEST_HZ), min(f[-1], 200.0))
@@ -54,21 +74,33 @@ def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
     for n, mark in enumerate(picture.marks):
         level_db = float(decibels(np.array([mark.loop]))[0])
         turn = float(np.interp(mark.frequency_hz, f, turned))
-        if mark.is_lobe and level_db <= BOTTOM_DB:
-            continue
-        if mark.is_lobe:
+        if mark.what == "lobe" and level_db > BOTTOM_DB:
             gain.plot(mark.frequency_hz, level_db, "o", color=_colour(n), markersize=3)
             phase.plot(mark.frequency_hz, turn, "o", color=_colour(n), markersize=3)
-            name_point(gain, mark.frequency_hz, min(level_db, TOP_DB), mark.text, color=_colour(n))
-        elif mark.text and abs(level_db) > 1e-6:  # a gain margin: from the curve to 0 dB
-            gain.plot([mark.frequency_hz] * 2, [level_db, 0.0], color=RED, linewidth=2.0)
+            name_point(gain, mark.frequency_hz, min(level_db, TOP_DB), mark.text)
+        elif mark.what == "gain" and mark.text:  # from the curve to 0 dB
+            gain.plot([mark.frequency_hz] * 2, [level_db, 0.0], **_MARGIN)
             name_point(gain, mark.frequency_hz, level_db, mark.text, color=RED)
-        elif mark.text:  # the phase margin: from the curve to the nearest -180 deg
+        elif mark.what == "phase" and mark.text:  # from the curve to the nearest -180 deg
             nearest = 360.0 * np.round((turn + 180.0) / 360.0) - 180.0
-            phase.plot([mark.frequency_hz] * 2, [turn, nearest], color=RED, linewidth=2.0)
+            phase.plot([mark.frequency_hz] * 2, [turn, nearest], **_MARGIN)
             name_point(phase, mark.frequency_hz, nearest, mark.text, color=RED)
-    label(gain, "", "|L|, dB", "Gain")
-    label(phase, "frequency, Hz", "phase of L, deg", "Phase")
+    label(gain, "frequency, Hz", "|L|, dB", "Gain |L|")
+    label(phase, "frequency, Hz", "phase of L, deg", "Phase of L")
+
+
+def _distance(picture: LoopPicture, place: Axes) -> None:
+    f = picture.frequency_hz
+    place.plot(f, np.abs(1.0 + picture.loop), color=BLUE)
+    place.set_xscale("log")
+    place.set_xlim(max(f[0], LOWEST_HZ), min(f[-1], 200.0))
+    place.set_ylim(0.0, 2.0)
+    plain_numbers(place.xaxis)
+    for mark in picture.marks:
+        if mark.what == "least":
+            place.plot(mark.frequency_hz, abs(1.0 + mark.loop), "o", color=RED, markersize=3.5)
+            name_point(place, mark.frequency_hz, abs(1.0 + mark.loop), mark.text, color=RED)
+    label(place, "frequency, Hz", "|1 + L|", "Distance to -1")
 
 
 _M_DB = (-20.0, -12.0, -6.0, -3.0, -1.0, 0.25, 0.5, 1.0, 3.0, 6.0, 12.0)
@@ -100,11 +132,8 @@ def _placed(loop: ComplexArray) -> tuple[Array, Array]:
     return np.insert(turn, jump, np.nan), np.insert(level, jump, np.nan)
 
 
-def draw_nichols(picture: LoopPicture, place: Axes, *, small: bool = False) -> None:
-    """Draw the loop in the Nichols plane over M and N contours, with named lobes and margins and shaded zones.
-
-    `small` is True for a panel among many, which names only the lobes.
-    """
+def _nichols(picture: LoopPicture, place: Axes) -> None:
+    """Draw the loop in the Nichols plane over M and N contours, with lobes and margins named and zones shaded."""
     level, turn = decibels(picture.loop), _turn(picture.loop)
     seen = level[picture.frequency_hz >= LOWEST_HZ]
     bottom, top = max(float(seen.min()), -40.0), min(max(float(seen.max()), 10.0) + 6.0, TOP_DB)
@@ -113,32 +142,31 @@ def draw_nichols(picture: LoopPicture, place: Axes, *, small: bool = False) -> N
         inside = np.flatnonzero((db > bottom + 1.0) & (db < top - 1.0) & (phase > -340.0) & (phase < -2.0))
         low = name.startswith("-")  # a contour of attenuation crosses the plane, others enclose -1
         whole = low or db.max() < top - 1.0
-        if name and name != f"{_M_DB[-1]:g} dB" and whole and len(inside) and not small:
+        if name and name != f"{_M_DB[-1]:g} dB" and whole and len(inside):
             k = int(inside[np.argmax(phase[inside] if low else db[inside])])
             _name_contour(place, float(phase[k]), float(db[k]), name, ha="right" if low else "center")
     for zone in picture.zones:
-        _draw_zone(zone, place)
+        place.add_patch(Polygon(_outline(zone), **_ZONE))
     place.grid(visible=False)
-    place.axhline(0.0, color=GREY, linewidth=0.8)
-    place.axvline(-180.0, color=GREY, linewidth=0.8)
+    place.axhline(0.0, color=GREY, linewidth=0.8, zorder=0.55)
+    place.axvline(-180.0, color=GREY, linewidth=0.8, zorder=0.55)
     _cross(place, -180.0)
-    place.plot(*_broken(turn, level)[::-1], color=BLUE, linewidth=0.9 if small else 1.3)
+    place.plot(*_broken(turn, level)[::-1], color=BLUE, linewidth=1.3)
     place.set_xlim(-360.0, 0.0)
-    place.set_xticks(range(-360, 1, 120 if small else 60))
+    place.set_xticks(range(-360, 1, 60))
     place.set_ylim(bottom, top)
     for n, mark in enumerate(picture.marks):
         x, y = float(_turn(np.array([mark.loop]))[0]), float(decibels(np.array([mark.loop]))[0])
-        if bottom < y < top:
-            _mark(place, mark, n, x, y, named=mark.is_lobe or not small)
-    if not small:
-        _name_frequencies(place, picture, np.stack([turn, level]))
-    label(place, "phase of L, deg (mod 360)", "|L|, dB", "Nichols (grey: |T| in dB, phase of T)")
+        if mark.what != "least" and bottom < y < top:
+            _mark(place, mark, n, np.array([(x, y), (-180.0, 0.0)]))
+    _name_frequencies(place, picture, np.stack([turn, level]))
+    label(place, "phase of L, deg (mod 360)", "|L|, dB", "Nichols")
 
 
 def _name_contour(place: Axes, x: float, y: float, name: str, **look: Any) -> None:
     """Write the name of a contour on it, below the curves."""
     gap = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
-    place.text(x, y, name, fontsize=5.0, color=GREY, va="center", zorder=0.6, clip_on=True, bbox=gap, **look)
+    place.text(x, y, name, fontsize=6.0, color=GREY, va="center", zorder=0.6, clip_on=True, bbox=gap, **look)
 
 
 def _name_frequencies(place: Axes, picture: LoopPicture, curve: Array) -> None:
@@ -151,7 +179,7 @@ def _name_frequencies(place: Axes, picture: LoopPicture, curve: Array) -> None:
         if f[0] < hz < f[-1] and low < curve[1, k] < high:
             place.plot(*curve[:, k], ".", color=BLUE, markersize=4)
             name_point(
-                place, float(curve[0, k]), float(curve[1, k]), f"{hz:g} Hz", must=False, color=BLUE, fontsize=5.5
+                place, float(curve[0, k]), float(curve[1, k]), f"{hz:g} Hz", must=False, color=BLUE, fontsize=6.0
             )
 
 
@@ -163,59 +191,103 @@ def _nyquist(picture: LoopPicture, place: Axes) -> None:
     seen = picture.frequency_hz >= LOWEST_HZ
     curve = _drawn_in(picture.loop[seen])
     reach = max(1.5, 1.08 * float(np.abs(curve).max()))
+    _circles(place, (-6.0, 0.0, 10.0, 20.0, 30.0, 40.0), reach)
+    place.plot(curve.real, curve.imag, color=BLUE)
+    _cross(place, -1.0)
+    place.set_ylim(-reach, reach)
+    for n, mark in enumerate(picture.marks):
+        if mark.what != "least" and abs(mark.loop) > 0.05:
+            _mark(place, mark, n, _plane(_drawn_in(_ends(mark))))
+    drawn = _drawn_in(picture.loop)
+    _name_frequencies(place, picture, np.stack([drawn.real, drawn.imag]))
+    _scale_equally(place, (-reach, reach), (-reach, reach))
+    place.set_xticks([])
+    place.set_yticks([])
+    for side in place.spines.values():
+        side.set_visible(False)
+    label(place, title="Nyquist (logarithmic beyond 0 dB)")
+
+
+def _near_minus_one(picture: LoopPicture, place: Axes) -> None:
+    """Draw the Nyquist plot within about 0 dB, to scale: lengths from -1 are |1 + L|."""
+    seen = picture.loop[picture.frequency_hz >= LOWEST_HZ]
+    for zone in picture.zones:
+        turn, level_db = _outline(zone).T
+        place.add_patch(Polygon(_plane(10.0 ** (level_db / 20.0) * np.exp(1j * np.radians(turn))), **_ZONE))
+    _circles(place, (-6.0, 0.0), 2.0)
+    place.plot(seen.real, seen.imag, color=BLUE)
+    _cross(place, -1.0)
+    place.axhline(0.0, color=GREY, linewidth=0.6, zorder=0.6)
+    place.set_ylim(-1.15, 1.15)
+    for n, mark in enumerate(picture.marks):
+        ends = _ends(mark)
+        if abs(ends[0].imag) < 1.1 and -1.6 < ends[0].real < 1.1:
+            _mark(place, mark, n, _plane(ends))
+    _scale_equally(place, (-1.6, 0.6), (-1.15, 1.15))
+    label(place, "Re L", "Im L", "Nyquist near -1 (to scale)")
+
+
+def _scale_equally(place: Axes, x: tuple[float, float], y: tuple[float, float]) -> None:
+    """Draw to scale, with the range along the longer side of the panel extended."""
+    place.set_xlim(*x, auto=True)
+    place.set_ylim(*y, auto=True)
+    place.set_aspect("equal", adjustable="datalim")
+    place.grid(visible=False)
+
+
+def _circles(place: Axes, levels_db: Sequence[float], reach: float) -> None:
+    """Draw circles of |L|, named in dB."""
     around = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 181))
-    for level_db in (-6.0, 0.0, 10.0, 20.0, 30.0, 40.0):
+    for level_db in levels_db:
         radius = float(np.abs(_drawn_in(np.array([10.0 ** (level_db / 20.0) + 0j])))[0])
         if radius < reach:
             style: dict[str, Any] = {"color": GREY, "linewidth": 0.9 if level_db == 0.0 else 0.5, "alpha": 0.8}
             place.plot(radius * around.real, radius * around.imag, zorder=0.5, **style)
             _name_contour(place, 0.0, radius, f"{level_db:g} dB", ha="center")
-    place.plot(curve.real, curve.imag, color=BLUE)
-    _cross(place, -1.0)
-    place.set_xlim(-reach, reach)
-    place.set_ylim(-reach, reach)
-    for n, mark in enumerate(picture.marks):
-        at = _drawn_in(np.array([mark.loop]))[0]
-        if mark.is_lobe and abs(at) > 0.05:
-            _mark(place, mark, n, at.real, at.imag)
-    drawn = _drawn_in(picture.loop)
-    _name_frequencies(place, picture, np.stack([drawn.real, drawn.imag]))
-    place.set_aspect("equal")
-    place.grid(visible=False)
-    place.set_xticks([])
-    place.set_yticks([])
-    for side in place.spines.values():
-        side.set_visible(False)
-    label(place, title="Nyquist (log radius beyond 0 dB)")
+
+
+def _ends(mark: Mark) -> ComplexArray:
+    """Return the line of a margin in the plane of L from the mark to -1, for a phase margin along |L| = 1."""
+    if mark.what != "phase":
+        return np.array([mark.loop, -1.0])
+    angle = float(np.angle(mark.loop))
+    return np.asarray(np.exp(1j * np.linspace(angle, math.copysign(math.pi, angle), 25)))
+
+
+def _plane(values: ComplexArray) -> Array:
+    return np.stack([values.real, values.imag], 1)
 
 
 def _cross(place: Axes, x: float) -> None:
     """Draw the critical point as a text, so that the names of points avoid it."""
-    place.text(x, 0.0, "+", color=RED, fontsize=15, fontweight="bold", ha="center", va="center_baseline")
+    place.text(x, 0.0, "+", color=BLACK, fontsize=15, fontweight="bold", ha="center", va="center_baseline")
 
 
-def _mark(place: Axes, mark: Mark, n: int, x: float, y: float, *, named: bool = True) -> None:
-    colour = _colour(n) if mark.is_lobe else BLACK
-    if mark.text:  # a crossing that sets no margin has none
-        place.plot(x, y, "o" if mark.is_lobe else "x", color=colour, markersize=3.5)
-    if named and mark.text:
-        name_point(place, x, y, mark.text, color=colour, fontsize=6.0)
-
-
-def _draw_zone(zone: Zone, place: Axes) -> None:
-    gain, phase = zone.gain_db, zone.phase_deg
-    style: dict[str, Any] = {"facecolor": RED, "alpha": 0.15, "edgecolor": RED}
-    if zone.shape == "ellipse":
-        place.add_patch(Ellipse((-180.0, 0.0), 2.0 * phase, 2.0 * gain, **style))
-    elif zone.shape == "diamond":
-        corners = [(-180.0 - phase, 0.0), (-180.0, gain), (-180.0 + phase, 0.0), (-180.0, -gain)]
-        place.add_patch(Polygon(corners, closed=True, **style))
+def _mark(place: Axes, mark: Mark, n: int, way: Array) -> None:
+    """Draw a mark at the beginning of `way`; of a margin, all of it."""
+    if not mark.text:  # a crossing that sets no margin
+        return
+    x, y = map(float, way[0])
+    if mark.what == "lobe":
+        place.plot(x, y, "o", color=_colour(n), markersize=3.5)
+        name_point(place, x, y, mark.text)
     else:
-        place.add_patch(Rectangle((-180.0 - phase, -gain), 2.0 * phase, 2.0 * gain, **style))
+        place.plot(*way.T, **_MARGIN)
+        name = f"|1 + L| {mark.text}" if mark.what == "least" else mark.text.partition(",")[0]
+        name_point(place, x, y, name, color=RED)
+
+
+def _outline(zone: Zone) -> Array:
+    """Return the outline of a zone in the Nichols plane, (n, 2): phase in deg and |L| in dB."""
+    x, y = np.cos(_TURN), np.sin(_TURN)
+    if zone.shape != "ellipse":
+        size = np.abs(x) + np.abs(y) if zone.shape == "diamond" else np.maximum(np.abs(x), np.abs(y))
+        x, y = x / size, y / size
+    return np.stack([zone.phase_deg * x - 180.0, zone.gain_db * y], 1)
 
 
 def _colour(n: int) -> str:
-    return ON_LIGHT[1:][n % (len(ON_LIGHT) - 1)]
+    return _OF_LOBES[n % len(_OF_LOBES)]
 
 
 def _turn(loop: ComplexArray) -> Array:

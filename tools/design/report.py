@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -24,10 +24,8 @@ from maxq.design.model.powered import loss_text
 from maxq.design.operating_points import PlantKind
 from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import RigidBody
-from maxq.design.verify.dispersed_limits import WorstOfBasis
 from maxq.design.verify.judging import Check, DesignOutcome, JudgedLoop
 from maxq.design.verify.names import stage_name
-from maxq.design.verify.own_flight import CaseDesign
 from maxq.design.verify.uncovered import Uncovered
 from maxq.sim.files import write_whole
 from maxq.sim.packing.computer import bending_filter
@@ -37,6 +35,10 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.design.way_out import way_out_comments, way_out_record, way_out_table
+
+if TYPE_CHECKING:
+    from maxq.design.verify.dispersed_limits import WorstOfBasis
+    from maxq.design.verify.own_flight import CaseDesign
 
 GAIN_HEADS = {
     "time_s": "time, s",

@@ -314,7 +314,7 @@ def _draw(
             loaded.scenario.vehicle.name,
         ),
         *pictures.judged_sheets(
-            outcome.judged, f"{loaded.scenario.vehicle.name}: {loaded.name}, {loaded.case.loop}", outcome.wanted
+            outcome.judged, f"{loaded.scenario.vehicle.name}, {loaded.name}, {loaded.case.loop} loop", outcome.wanted
         ),
     ]
     if orders is not None:

@@ -36,6 +36,7 @@
     distance: (hz, db, deg) => [hz, distance(db, deg)],
     nichols: (hz, db, deg) => [turned(deg), db],
     nyquist: (hz, db, deg) => vector(20 * Math.log10(drawnIn(10 ** (db / 20))), deg),
+    critical: (hz, db, deg) => vector(db, deg),
   };
 
   function inPlane(plane, s) {
@@ -53,17 +54,19 @@
     };
     if (plane === "gain") out.push({ kind: "limit", colour: "grey", name: "0 dB", value: 0, seen: true });
     if (plane === "phase") for (let k = -12; k < 4; k++) out.push({ kind: "limit", colour: "grey", dash: "2 2", name: "-180 deg ± 360 deg", value: 360 * k - 180, seen: false });
-    if (plane === "nichols" || plane === "nyquist") out.push({ kind: "points", colour: "ink", mark: "+", name: "-1", x: [plane === "nichols" ? -180 : -1], y: [0] });
+    const around = plane === "nyquist" || plane === "critical"; // planes of L itself
     out.push(...(s.limits && s.limits[plane] || []), curve);
     for (const m of s.marks) {
       const p = to(m.x, m.y, m.y2), whole = 360 * Math.round((m.y2 + 180) / 360) - 180, way = [...Array(13).keys()].map((k) => m.y2 + (whole - m.y2) * k / 12);
       const dot = { kind: "points", colour: m.colour, name: "", x: [p[0]], y: [p[1]], labels: [plane === "phase" ? "" : m.name], read: () => `${m.name}\n${shown(m.x, 3)} Hz, ${m.y.toFixed(1)} dB` };
       if (m.what === "lobe" && plane !== "distance") out.push(dot);
       else if (m.what === "least" && plane === "distance") out.push({ ...dot, colour: "limit" });
-      else if (m.what === "gain" && plane !== "phase" && plane !== "distance") red([p, plane === "nyquist" ? [-1, 0] : [p[0], 0]], m.name);
+      else if (m.what === "least" && plane === "critical") red([p, [-1, 0]], `|1 + L| ${m.name}`);
+      else if (m.what === "gain" && plane !== "phase" && plane !== "distance") red([p, around ? [-1, 0] : [p[0], 0]], m.name);
       else if (m.what === "phase" && plane === "phase") red([p, [p[0], whole]], m.name);
-      else if (m.what === "phase" && (plane === "nichols" || plane === "nyquist")) red(way.map((deg) => plane === "nichols" ? [p[0] + deg - m.y2, 0] : to(m.x, 0, deg)), m.name);
+      else if (m.what === "phase" && (plane === "nichols" || around)) red(way.map((deg) => plane === "nichols" ? [p[0] + deg - m.y2, 0] : to(m.x, 0, deg)), m.name);
     }
+    if (plane === "nichols" || around) out.push({ kind: "points", colour: "ink", mark: "+", name: "-1", x: [around ? -1 : -180], y: [0] });
     return out;
   }
 
@@ -127,8 +130,10 @@
     frame.replaceChildren();
     const width = Math.max(frame.clientWidth, 180);
     const box = { top: 6, right: 12, bottom: 20, left };
-    const w = width - box.left - box.right, h = height - box.top - box.bottom;
     let [xs, ys] = [view.x, view.y];
+    const w = width - box.left - box.right, needed = (ys[1] - ys[0]) / (xs[1] - xs[0]) * w + box.top + box.bottom + 52; // and names above and below
+    if (panel.equal && !panel.plane) height = Math.min(height, Math.max(needed, 90)); // to scale, without empty space
+    const h = height - box.top - box.bottom;
     if (panel.equal) {
       const unit = Math.max((xs[1] - xs[0]) / w, (ys[1] - ys[0]) / h);
       [xs, ys] = [[xs, w], [ys, h]].map(([[a, b], pixels]) => [(a + b - unit * pixels) / 2, (a + b + unit * pixels) / 2]);
@@ -179,9 +184,10 @@
         for (let i = 1; i <= n; i++) obstacles.push([a[0] + (b[0] - a[0]) * i / n, a[1] + (b[1] - a[1]) * i / n]);
       }
     };
-    const mapped = (x, y, text) => names.push({ x, y, name: text, colour: "grey", size: 8 });
+    const mapped = (x, y, text) => names.push({ x, y, name: text, colour: "dim", size: 9 });
     if (panel.plane === "nichols") contours(inside, X, Y, path, ys, mapped);
-    if (panel.plane === "nyquist") rings(inside, X, Y, mapped);
+    if (panel.plane === "nyquist") rings(inside, X, Y, mapped, [-6, 0, 10, 20, 30, 40, 60]);
+    if (panel.plane === "critical") rings(inside, X, Y, mapped, [-6, 0]);
     for (const s of series) {
       const look = `stroke:${colour(s.colour)};stroke-width:${s.width || 1.5};` + (s.dash ? `stroke-dasharray:${s.dash};` : "");
       const px = s.x ? s.x.map((_, k) => place(s, k)) : [];
@@ -272,8 +278,8 @@
   }
 
   // Circles of |L| around the origin of the Nyquist plane, named in dB.
-  function rings(into, X, Y, name) {
-    for (const db of [-6, 0, 10, 20, 30, 40, 60]) {
+  function rings(into, X, Y, name, levels) {
+    for (const db of levels) {
       const r = drawnIn(10 ** (db / 20));
       make(into, "circle", "", { cx: X(0), cy: Y(0), r: X(r) - X(0), style: `fill:none;stroke:${colour(db ? "line" : "grey")};stroke-width:0.8` });
       name(X(0), Y(r), `${db} dB`);
@@ -284,7 +290,7 @@
   function label(svg, names, taken, obstacles, solids, frame) {
     for (const n of [...names].sort((a, b) => (b.must || 0) - (a.must || 0))) {
       if (n.x < frame.x0 || n.x > frame.x1 || n.y < frame.y0 || n.y > frame.y1) continue;
-      const size = n.size || 9.5, half = [n.name.length * size * 0.3 + 2, size * 0.55 + 1];
+      const size = n.size || 10, half = [n.name.length * size * 0.3 + 2, size * 0.55 + 1];
       const reach = [0, 1].map((axis) => RADII[RADII.length - 1] + 2 * half[axis]);
       const close = obstacles.filter(([x, y]) => Math.abs(x - n.x) < reach[0] && Math.abs(y - n.y) < reach[1]);
       let best = Infinity, found = null;
@@ -301,7 +307,7 @@
       if (!found || (best >= 1e4 && !n.must) || (!n.must && best > 60)) continue;
       taken.push(found);
       if (found.radius > 16 && !n.near) make(svg, "line", "", { x1: n.x, y1: n.y, x2: Math.min(Math.max(n.x, found.x0), found.x1), y2: Math.min(Math.max(n.y, found.y0), found.y1), style: `stroke:${colour(n.colour)};stroke-width:0.6` });
-      make(svg, "text", n.name, { x: found.at[0], y: found.at[1] + size * 0.35, "text-anchor": "middle", "font-size": size, class: "halo", style: `fill:${colour(n.colour)}` });
+      make(svg, "text", n.name, { x: found.at[0], y: found.at[1] + size * 0.35, "text-anchor": "middle", "font-size": size, class: "halo", style: `fill:${colour(n.must && n.colour !== "limit" ? "ink" : n.colour)}` });
     }
   }
 
@@ -439,6 +445,7 @@
   function key(parent, panels, figure) {
     const seen = new Map();
     for (const p of panels) for (const s of seriesOf(p, figure.loops[0])) if (s.name && !seen.has(s.name) && s.kind !== "rows") seen.set(s.name, s);
+    if (panels.some((p) => p.series.some((s) => s.kind === "bars" && s.y2 && s.y2.some((n) => n)))) seen.set("runs that miss the limit", { kind: "bars", colour: "limit" });
     if (seen.size < 1 || panels.every((p) => seriesOf(p, figure.loops[0]).length < 2)) return;
     const list = make(parent, "p", "", { class: "key" });
     for (const [name, s] of seen) {
@@ -495,7 +502,7 @@
     const cells = figure.panels.map((panel, k) => {
       const column = figure.split ? +(k >= figure.split) : k % figure.columns;
       const cell = make(columns[column] || grid, "div", "", { class: "panel" }), head = make(cell, "p", "", { class: "head" });
-      make(head, "b", panel.title);
+      make(head, "b", panel.title.replace(/^[a-z](?=[a-z])/, (letter) => letter.toUpperCase())); // not of k_p, q alpha
       if (panel.y) make(head, "span", (panel.title ? " · " : "") + panel.y);
       const reset = make(head, "button", "show all", { type: "button", hidden: "" });
       const inner = make(cell, "div"), under = panel.x ? make(cell, "p", panel.x, { class: "under" }) : null;

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from maxq.sim.run.quantities import number_text
 from maxq.tools.plots.figures import Plot, as_json
@@ -69,6 +69,8 @@ def _environment() -> Environment:
         finalize=_signs,
     )
     made.filters["number"] = number
+    made.filters["sentence"] = sentence
+    made.filters["command"] = command
     made.filters["in_css"] = _in_css
     made.filters["number_text"] = number_text
     return made
@@ -77,6 +79,18 @@ def _environment() -> Environment:
 def number(value: float | None, form: str = ".4g") -> str:
     """Return a number in a format, or "" if it is missing, NaN or infinite."""
     return "" if value is None or not math.isfinite(value) else format(value, form)
+
+
+def sentence(text: str) -> str:
+    """Return a text as a sentence: with a capital letter and a full stop. An empty text remains empty."""
+    return f"{text[0].upper()}{text[1:]}{'' if text[-1] in '.!?' else '.'}" if text else ""
+
+
+def command(text: str) -> Markup:
+    """Return a command whose options are not broken at their hyphens."""
+    return Markup("<code>{}</code>").format(
+        Markup(re.sub(r"(?<=\s)--[\w-]+", r"<span>\g<0></span>", str(escape(text))))
+    )
 
 
 def _in_css(text: Any) -> Markup:

@@ -216,13 +216,17 @@ def _tail(v: Judged, tail: Tail) -> Panel:
 
 
 def _envelope(each: Band, unit: str, verdicts: Sequence[Judged]) -> Panel:
-    """Return the median, bands between pairs of percentiles, and the limits on the channel."""
+    """Return the median, bands between pairs of percentiles, and the limits on the channel.
+
+    A percentile of less than one run is an interpolation, and its band is named accordingly.
+    """
     order = np.argsort(each.percentiles)
     unit, factor = engineering_unit(unit, float(np.nanmax(np.abs(each.lines))))
     lines, shares = factor * each.lines[order], np.array(each.percentiles)[order]
     middle, series = len(shares) // 2, list[Series]()
     for k in range(middle):
         name = f"{shares[k]:g} to {shares[-1 - k]:g} %"
+        name += " (about all runs)" if shares[k] / 100.0 * each.runs < 1.0 else ""
         series.append(band(each.time_s, lines[k], lines[-1 - k], name, opacity=0.22 + 0.2 * k))
     if len(shares) % 2:
         series.append(line(each.time_s, lines[middle], "median" if shares[middle] == 50.0 else f"{shares[middle]:g} %"))

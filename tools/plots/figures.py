@@ -43,8 +43,8 @@ class Panel:
     log_x: bool = False
     log_y: bool = False
     down: bool = False  # y grows downwards
-    plane: Literal["", "gain", "phase", "distance", "nichols", "nyquist"] = (
-        ""  # in which series of kind "loop" are drawn
+    plane: Literal["", "gain", "phase", "distance", "nichols", "nyquist", "critical"] = (
+        ""  # in which series of kind "loop" are drawn; critical: the Nyquist plane near -1, to scale
     )
     height: int = 0  # in pixels; 0: that of the figure
     equal: bool = False  # to scale: a unit has the same length along x and y

@@ -347,7 +347,7 @@ def legend_of(tab: Tab, plot: ReplayPlot, count: int) -> Literal["curves", "flig
     width.
     """
     most = max(_LEGEND_LINES, count * min(len(p.curves) for p in tab.plots)) if count > 1 else 99
-    if count > _LEGEND_MOST:
+    if count > _LEGEND_MOST or (count == 1 and len(plot.curves) == 1 and not plot.limits):  # the title says it
         return ""
     if count * len(plot.curves) <= most:
         return "curves"

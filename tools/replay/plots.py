@@ -367,8 +367,7 @@ def axis_of(plot: ReplayPlot, found: tuple[float, float] | None) -> PlotAxis:
     drawn = tuple(limit for limit in plot.limits if abs(limit.value) <= NEAR * reach)
     beyond = tuple(limit for limit in plot.limits if limit not in drawn)
     low, high = min([low, *(x.value for x in drawn)]), max([high, *(x.value for x in drawn)])
-    if high - low < 1e-9 * max(abs(high), abs(low), 1e-3):  # a constant value
-        room = max(0.5 * abs(high), 1.0 if high == 0.0 else 0.0)
-        low, high = low - room, high + room
+    if high - low < 1e-9 * max(abs(high), abs(low), 1e-3):  # a constant
+        low, high = (low, 1.0) if high == 0.0 else (low - 0.5 * abs(high), high + 0.5 * abs(high))
     margin = 0.045 * (high - low)
     return PlotAxis(low - margin, high + margin, drawn, beyond)

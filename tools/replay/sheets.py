@@ -144,10 +144,10 @@ def _sheet(tab: Tab, shown: Flights) -> Figure:
         how = "" if shown.few else f" (shaded: all, thick: {shown.reference.label}, thin red: failed)"
         about = f", {sum(f.verdict == 'failed' for f in shown.all)} failed{how}"
     else:
-        about = f" ({shown.reference.outcome} at {shown.reference.span_s[1]:.1f} s)"
+        about = f", {shown.reference.outcome} at {shown.reference.span_s[1]:.1f} s"
     span_s = _span(tab, shown)
     if span_s[1] < max(f.span_s[1] for f in shown.all):
-        about += f", shown to {span_s[1]:.1f} s"
+        about += f"; shown to {span_s[1]:.1f} s"
     figure, places = _figure(tab.name, shown, len(tab.plots), about=about, sharex=True)
     for place, plot in zip(places, tab.plots, strict=True):
         _draw(place, plot, shown, span_s)
@@ -176,7 +176,7 @@ def _figure(
 ) -> tuple[Figure, Sequence[Axes]]:
     """Return an empty sheet. If there are a few flights, a line below its title shows their colours."""
     of = f"{len(shown.all)} flights" if shown.many else shown.reference.label
-    figure, places = sheet(rows, columns, height_in, WIDTH_IN, f"{name} - {of}{about}", **more)
+    figure, places = sheet(rows, columns, height_in, WIDTH_IN, f"{name}: {of}{about}", **more)
     if shown.few:
         named = [(f, f.label + (", FAILED" if f.verdict == "failed" else "")) for f in shown.all]
         handles = [Line2D([], [], color=shown.colour(f), linewidth=1.6, label=text) for f, text in named]
@@ -205,9 +205,10 @@ def _draw(place: Axes, plot: ReplayPlot, shown: Flights, span_s: tuple[float, fl
         values += _draw_curve(place, curve, number, shown, span_s)
     axis = axis_of(plot, range_of(values))
     place.set_ylim(axis.low, axis.high)
-    _draw_limits(place, axis)
+    _draw_limits(place, axis, plot.unit)
     beyond = axis.beyond_text(plot.unit)
-    place.set_title(plot.title + (f"  [{beyond}]" if beyond else ""))
+    title = plot.title if plot.title[1:2] == " " else plot.title[:1].upper() + plot.title[1:]  # but "q alpha"
+    place.set_title(title + (f" ({beyond})" if beyond else ""))
     place.set_ylabel(plot.unit)
     if len(plot.curves) > 1 or axis.drawn:
         place.legend(**_LEGEND).set_in_layout(False)  # a legend of many names does not compress the plot
@@ -265,14 +266,14 @@ def envelope(times_ns: IntArray, values: Array, span_ns: tuple[int, int], bins: 
     return low, high
 
 
-def _draw_limits(place: Axes, axis: PlotAxis) -> None:
-    """Shade and hatch the range beyond the limits, so that it is visible without colour."""
+def _draw_limits(place: Axes, axis: PlotAxis, unit: str) -> None:
+    """Shade and hatch the range outside the limits, so that it is visible without colour."""
     first = {limit.text: limit for limit in reversed(axis.drawn)}
     for limit in axis.drawn:
         colour, hatch = (LIMIT, "////") if limit.required else (GREY, None)
         look: Any = {"facecolor": (colour, 0.10), "edgecolor": (colour, 0.45), "linewidth": 0.0, "hatch": hatch}
         place.axhspan(limit.value, axis.high if limit.upper else axis.low, zorder=0.5, **look)
-        label = limit.text if first[limit.text] is limit else None
+        label = f"{limit.text} {unit}".rstrip() if first[limit.text] is limit else None
         place.axhline(limit.value, color=colour, linewidth=0.9, label=label, zorder=1.5)
 
 

@@ -239,7 +239,7 @@ def send_now(recording: rr.RecordingStream, flights: Sequence[tuple[str, Channel
         shown = np.isfinite(values) & (at <= ns[-1] + step)
         return [f"{v:z.{digits}f}" if ok else "" for v, ok in zip(values.tolist(), shown, strict=True)]
 
-    head = "| | " + " | ".join(label or "value" for label, _ in flights) + " |\n|---|" + "--:|" * len(flights)
+    head = "| quantity | " + " | ".join(label or "value" for label, _ in flights) + " |\n|---|" + "--:|" * len(flights)
     table = [(what, [cells(*how, channels) for _, channels in flights]) for what, how in rows]
     texts = []
     for k, t in enumerate(at):

@@ -28,9 +28,12 @@ def about(flights: Sequence[ReplayFlight], drawn: Sequence[str]) -> str:
     if len(flights) == 1:
         return "\n".join([*_about_flight(flights[0]), *drawn])
     lines = [f"# {len(flights)} flights", "", "| flight | outcome | verdict |", "|---|---|---|"]
-    for f in flights:  # the reasons for many flights would require reading every log again
-        verdict = _verdict(f) if len(flights) <= FEW else _VERDICTS[f.verdict].partition(":")[0]
+    for f in flights:
+        verdict = _VERDICTS[f.verdict].partition(":")[0]
         lines.append(f"| {f.label} | {f.outcome} at {f.span_s[1]:.1f} s | {verdict} |")
+    few = flights if len(flights) <= FEW else ()  # the reasons of many would require reading every log again
+    reasons = [(f.label, _verdict(f).partition(": ")[2]) for f in few if f.verdict == "failed"]
+    lines += ["", *(f"- {label}: {reason}" for label, reason in reasons if reason)]
     if len(flights) > len(ON_DARK):  # otherwise each has its own colour
         lines += ["", "Green: passed. Red: failed. Blue: no verdict known. Purple: the nominal."]
     lines.append("")
@@ -48,7 +51,9 @@ def _about_flight(flight: ReplayFlight) -> list[str]:
         "maxq": f"{data.get('maxq', '?')}, log schema {data.get('schema', '?')}",
         "log": flight.path.name,
     }
-    lines = [f"# {_verdict(flight)}", "", f"{flight.label}: {flight.outcome} at {flight.span_s[1]:.1f} s", ""]
+    met = sum(r.met is True for r in flight.requirements)
+    count = f"; {met} of {len(flight.requirements)} requirements met" if flight.requirements else ""
+    lines = [f"# {_verdict(flight)}", "", f"{flight.label}: {flight.outcome} at {flight.span_s[1]:.1f} s{count}", ""]
     lines += _went_wrong([("", flight)])
     if flight.requirements:
         lines += ["| requirement | value | limit | used |", "|---|--:|---|--:|"]
@@ -83,7 +88,8 @@ def _requirement(r: ShownRequirement) -> str:
     value, limit, unit = r.shown
     name = f"**MISSED** {r.name}" if r.met is False else r.name
     value = "" if r.value is None else value
-    return f"| {name} | {value} | {sign_of(r.kind)} {limit} {unit} | {share_text(r.utilisation)} |"
+    sign = {"<=": "≤", ">=": "≥"}[sign_of(r.kind)]
+    return f"| {name} | {value} | {sign} {limit} {unit} | {share_text(r.utilisation)} |"
 
 
 def drawn_text(ex: Exaggeration, place: ShownLaunchSite | None = None) -> list[str]:

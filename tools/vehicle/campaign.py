@@ -7,7 +7,7 @@ from typing import Any
 
 from maxq.design.model.spread import Spread
 from maxq.tools.vehicle.build import Built
-from maxq.tools.vehicle.layout import LayoutStage
+from maxq.tools.vehicle.layout import LayoutStage, steered_boosters
 
 ISP, MISALIGNMENT_DEG, TEMPERATURE_K = 0.01, 0.15, 15.0  # three-sigma deviations of a solid motor
 LIMIT_WIND = "vehicle/limit_wind.csv"
@@ -50,7 +50,7 @@ def campaign_of(built: Built) -> dict[str, Any]:
                     "source": "assumed, to begin with",
                 }
             )
-    spread += _boosters(built)
+    spread += [*_boosters(built), *_booster_actuators(built)]
     control = built.layout.control
     either_way_s = min(SPREAD.delay_s, control.delay_s, control.sample_s - control.delay_s)
     spread.append(
@@ -97,6 +97,24 @@ def _boosters(built: Built) -> Iterator[dict[str, Any]]:
         }
 
 
+def _booster_actuators(built: Built) -> Iterator[dict[str, Any]]:
+    """Yield the poles of the actuators of each gimballed booster, which follow those of the core."""
+    for name in {name: None for stack in built.stacks for name in stack.moving_boosters}:
+        parts = [(n, stack) for n, stack in enumerate(built.stacks) if name in stack.moving_boosters]
+        first = len(set(parts[0][1].stage.engine.groups))
+        own = next(s.booster.engine for s in parts[0][1].boosters if name in s.booster.names)
+        for p in range(len(own.servo_hz)):
+            places = [f"vehicle.stage.{n}.actuator.{first + stack.moving_boosters.index(name)}" for n, stack in parts]
+            yield {
+                "name": f"actuator poles {p + 1}, {name}",
+                "keys": [f"{place}.omega_hz.{p}" for place in places],
+                "apply": "scale",
+                "distribution": "normal",
+                "three_sigma": SPREAD.actuator_frequency,
+                "source": "assumed, to begin with",
+            }
+
+
 def _deviations(
     built: Built, stage: LayoutStage, parts: Sequence[int]
 ) -> Iterator[tuple[str, list[str], dict[str, Any]]]:
@@ -121,7 +139,8 @@ def _deviations(
     if e.temperature_sensitivity_1pK > 0.0:
         keys = [f"engine{one}.propellant_temperature_K" for _, one in _each(len(e.positions_m))]
         yield "propellant temperature", keys, {"apply": "add", "three_sigma": TEMPERATURE_K}
-    for n, one in _each(len(set(e.groups))):
+    groups = len(set(e.groups))
+    for n, one in [("", ".0")] if groups == 1 and steered_boosters(stage) else _each(groups):
         for p in poles:
             yield f"actuator poles{n} {p + 1}", [f"actuator{one}.omega_hz.{p}"], sized(SPREAD.actuator_frequency)
     yield "normal force", ["aero.force_factor"], sized(SPREAD.normal_force)

@@ -21,19 +21,45 @@ _AIR_Pa = 100.0  # below this dynamic pressure, the centre of pressure is irrele
 _TIME, _STATION = "flight time, s", "station, m aft of the nose"
 
 
-def page(built: Built) -> str:
-    """Return the page as one HTML file with all figures, tables and notes."""
+_HEADS = {
+    "from, kg": "mass at ignition, kg",
+    "to, kg": "mass at burnout, kg",
+    "burn, s": "burn time, s",
+    "T/W": "thrust / weight",
+    "dv, m/s": "delta-v, m/s",
+    "v, m/s": "speed, m/s",
+    "h, km": "altitude, km",
+    "path, deg": "flight path, deg",
+    "mass, kg": "generalised mass, kg",
+}
+"""Heads of columns on the page, which has more space than a terminal."""
+
+
+def page(built: Built, outcome: str, *, passed: bool) -> str:
+    """Return the page as one HTML file with all figures, tables and notes.
+
+    `outcome` is a word in capitals, a colon and the reason.
+    """
+    layout, first = built.layout, built.stacks[0]
+    front, rear = layout.stage[-1].front_station_m, max(s.engine.exit_station_m for s in layout.stage)
     plots = [_vehicle(built), _masses(built), _aerodynamics(built), _control(built), _ascent(built)]
     if any(modes[0] for _, modes in built.modes):
         plots.append(_modes(built))
     return render(
         "vehicle.html.j2",
         plots,
-        layout=built.layout,
-        tables=tables(built),
+        layout=layout,
+        outcome_line=outcome,
+        passed=passed,
+        facts=(
+            ("mass at liftoff", f"{first.mass_properties(first.begins_s).mass_kg / 1e3:.4g} t"),
+            ("length", f"{rear - front:.4g} m"),
+            ("largest diameter of the core", f"{max(s.diameter_m for s in layout.stage):.4g} m"),
+        ),
+        tables=[t._replace(rows=[tuple(_HEADS.get(h, h) for h in t.rows[0]), *t.rows[1:]]) for t in tables(built)],
         notes=notes(built),
         numbers=numbers,
-        meanings=MEANINGS,
+        meanings={_HEADS.get(head, head): meaning for head, meaning in MEANINGS.items()},
     )
 
 
@@ -100,7 +126,8 @@ def _propellants(body: LayoutStage | LayoutBooster, y_m: float = 0.0) -> list[Se
             z = np.linspace(0.0, top, 81)
             place, radius = t.bottom_station_m - t.radius_m * z, t.radius_m * profile.surface_radius(z)
             name = f"{propellant_text(t.name)} at liftoff" if full else ""
-            out.append(side_view.tank(place, radius, name, COLOURS[k % 4], full=full, y_m=y_m))
+            at_m = y_m + t.position_m[0]
+            out.append(side_view.tank(place, radius, name, COLOURS[k % 4], full=full, y_m=at_m))
     for grain in body.grain:
         ends, r = [grain.front_station_m, grain.rear_station_m], grain.radius_m or 0.5 * body.diameter_m
         out.append(side_view.revolved(ends, r, "grain", y_m=y_m, fill="grey", opacity=0.5, bare=True))
@@ -152,14 +179,14 @@ def _modes(built: Built) -> Plot:
             name = f"clamped on the pad: {mode.frequency_hz:.2f} Hz"
             shapes.append(line(mode.station_m, mode.phi, name, colour="grey", dash=("8 3 2 3", "2 2")[k]))
         shapes.append(at(built.layout.control.gyro_station_m, "gyro", colour="green", dash="6 3"))
-        panels.append(Panel(f"{built.stacks[n].name}, at ignition", shapes, _STATION, "phi"))
+        panels.append(Panel(f"{built.stacks[n].name}, at ignition", shapes, _STATION, "mode shape"))
     frequencies.append(limit(0.5 / built.layout.control.sample_s, "half the sample rate"))
     panels.append(Panel("frequencies", frequencies, _TIME, "Hz", log_y=True))
     caption = (
         "Free-free modes with a displacement of 1 at the gimbal, engine locked, without sloshing masses. Grey: clamped "
         "at the tail, with a displacement of 1 at the nose."
     )
-    return Plot("modes", "Bending modes", panels, caption, 1)
+    return Plot("modes", "Bending modes", panels, caption, 2)
 
 
 def _split(points: list[TrajectoryPoint], values: list[float]) -> tuple[Array, Array]:

@@ -28,7 +28,7 @@ from maxq.tools.vehicle.aerodynamics import aerodynamics
 from maxq.tools.vehicle.beam import Beam, RigidLoad
 from maxq.tools.vehicle.build import Built, burning, least_rigid_hz
 from maxq.tools.vehicle.campaign import LIMIT_WIND, campaign_of
-from maxq.tools.vehicle.layout import LayoutTank, LayoutThrust
+from maxq.tools.vehicle.layout import LayoutEngines, LayoutNozzles, LayoutTank, LayoutThrust, steered_boosters
 from maxq.tools.vehicle.masses import Stack, engine_inertia
 from maxq.tools.vehicle.trajectory import TrajectoryPoint
 
@@ -126,7 +126,7 @@ def _over_time(stack: Stack, columns: str, values: Iterable[tuple[float, ...]]) 
     return f"time_s,{columns}", _continued(stack, [(t, *row) for t, row in zip(_times_s(stack), values, strict=True)])
 
 
-_MASS = attrgetter("mass_kg", "x_cg_m", "roll_kgm2", "pitch_kgm2", "pitch_kgm2")
+_MASS = attrgetter("mass_kg", "x_cg_m", "roll_kgm2", "pitch_kgm2", "yaw_kgm2")
 _LIQUID = attrgetter("mass_kg", "front_station_m")
 
 
@@ -336,17 +336,16 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
         out["ignition_s"] = stage.ignition_after_s
     out["mass"] = {"table": f"{shared}mass.csv"}
     out["engine"] = engines if many else engines[0]
-    actuator = {
-        "model": next(model for model, count in SECTIONS.items() if count == len(e.servo_hz)),
-        "omega_hz": list(e.servo_hz),
-        "zeta": list(e.servo_zeta),
-        "angle_limit_deg": e.angle_limit_deg,
-        "rate_limit_degps": e.rate_limit_degps,
-    }
-    groups = dict.fromkeys(e.groups)
-    out["actuator"] = [{"group": g} | actuator for g in groups] if len(groups) > 1 else actuator
+    groups = [{"group": g} for g in dict.fromkeys(e.groups)] if many else [{}]
+    moving = [
+        (name, s.booster.engine) for s in stack.boosters for name in s.booster.names if name in stack.moving_boosters
+    ]
+    listed = steered_boosters(stage) or len(groups) > 1
+    actuators = [group | _actuator(e) for group in groups] + [{"group": name} | _actuator(b) for name, b in moving]
+    out["actuator"] = actuators if listed else actuators[0]
     if e.tvc_load is not None:
-        out["tvc_load"] = _copied(e.tvc_load, f"{prefix}tvc_load", tables)
+        load = _copied(e.tvc_load, f"{prefix}tvc_load", tables)
+        out["tvc_load"] = [group | load for group in groups] if moving else load
     out["tank"] = [_tank(t, f"{shared}tank_{t.name}.csv") for t in stage.tank]
     if stage.bending is not None or stage.spatial_modes is not None:
         key = "bending" if stage.bending is not None else "spatial_modes"
@@ -379,6 +378,16 @@ def _of_motor(e: LayoutThrust) -> dict[str, float]:
     return {key: value for key in ("temperature_sensitivity_1pK", "roll_arm_m") if (value := getattr(e, key)) != 0.0}
 
 
+def _actuator(e: LayoutEngines) -> dict[str, Any]:
+    return {
+        "model": next(model for model, count in SECTIONS.items() if count == len(e.servo_hz)),
+        "omega_hz": list(e.servo_hz),
+        "zeta": list(e.servo_zeta),
+        "angle_limit_deg": e.angle_limit_deg,
+        "rate_limit_degps": e.rate_limit_degps,
+    }
+
+
 def _tank(t: LayoutTank, table: str) -> dict[str, Any]:
     return {
         "name": t.name,
@@ -390,7 +399,16 @@ def _tank(t: LayoutTank, table: str) -> dict[str, Any]:
         "height_m": t.height_m,
         "dome_m": list(t.dome_m),
         "density_kgpm3": t.density_kgpm3,
+        **({"position_m": list(t.position_m)} if any(t.position_m) else {}),
     }
+
+
+def _swinging(e: LayoutNozzles) -> dict[str, Any]:
+    """Return the keys of a booster's engine that depend on its gimbal."""
+    if e.gimbal == "fixed":
+        return {"gimbal": "fixed"}
+    mass, arm, inertia = engine_inertia(e)
+    return {"gimballed_mass_kg": mass, "cg_from_gimbal_m": arm, "inertia_about_gimbal_kgm2": inertia}
 
 
 def _boosters(built: Built, n: int, tables: Tables) -> list[dict[str, Any]]:
@@ -410,7 +428,7 @@ def _boosters(built: Built, n: int, tables: Tables) -> list[dict[str, Any]]:
             tables[f"{prefix}tank_{tank.name}.csv"] = "time_s,liquid_mass_kg", left
         engine = {
             "table": f"{prefix}thrust.csv",
-            "gimbal": "fixed",
+            **_swinging(e),
             "exit_area_m2": e.exit_area_m2,
             "gimbal_station_m": e.gimbal_station_m,
             "exit_station_m": e.exit_station_m,

@@ -87,7 +87,7 @@ class Shell(Between):
 
 
 class LayoutTank(Section):
-    """An upright tank on the axis, and the propellant in it."""
+    """An upright tank with the propellant in it."""
 
     name: values.ChannelPart = Field(description="name of the tank in logs")
     liquid_mass_kg: Positive = Field(description="propellant at liftoff, kg")
@@ -97,6 +97,9 @@ class LayoutTank(Section):
     height_m: Positive = Field(description="inner height, domes included, m")
     dome_m: Pair = optional("heights of half-ellipsoidal domes, bottom and top, m; 0: flat", (0.0, 0.0))
     bottom_station_m: float = Field(description="aft end, m aft of the nose")
+    position_m: Pair = optional(
+        "its axis, y and z from that of the stage or booster, m; liquids off the axis balance each other", (0.0, 0.0)
+    )
     damping_ratio: Fraction = optional("damping ratio of the slosh mode; 0.01 to 0.03 with ring baffles", 0.01)
     roll_share: Fraction = optional("share of the liquid's solid-body roll inertia that turns with the walls", 0.0)
 
@@ -124,6 +127,16 @@ class Grain(Between):
     def _check(self) -> None:
         super()._check()
         self.only_with(("port_radius_m",), self.burns == "port", "burns = 'port'")
+
+
+def check_balance(tanks: tuple[LayoutTank, ...]) -> None:
+    """Check that the liquids off the axis balance each other, full and drained."""
+    for name in ("liquid_mass_kg", "residual_kg"):
+        first = [sum(getattr(t, name) * t.position_m[k] for t in tanks) for k in (0, 1)]
+        largest = max((getattr(t, name) * math.hypot(*t.position_m) for t in tanks), default=0.0)
+        if max(map(abs, first)) > 1e-6 * largest:
+            problem = f"{name} off the axis has the moments {first[0]:g} and {first[1]:g} kg m along y and z"
+            raise refuse(problem, "tanks that balance each other", ("tank",), value=len(tanks))
 
 
 def check_grains(grains: tuple[Grain, ...], radius_m: float) -> None:
@@ -218,6 +231,21 @@ class LayoutEngines(LayoutThrust):
         return tuple(names[int(np.sign(at[across])) + 1] for at in self.positions_m)
 
 
+class LayoutNozzles(LayoutEngines):
+    """The engines of a booster, all equal."""
+
+    gimbal: Literal["both", "fixed"] = optional("both: the engines of each booster move together", "fixed")
+
+    def _check(self) -> None:
+        super()._check()
+        moving = [name for name in LayoutEngines.model_fields if name not in LayoutThrust.model_fields]
+        for name in moving:
+            if self.gimbal == "fixed" and name in self.model_fields_set:
+                raise refuse("has no meaning here", "this key with gimbal = 'both' only", name)
+        if self.tvc_load is not None:
+            raise refuse("boosters follow their actuators", "none", "tvc_load", value={})
+
+
 class LayoutFins(Section):
     """A set of fins with trapezoidal planform."""
 
@@ -230,7 +258,7 @@ class LayoutFins(Section):
 
 
 class LayoutBooster(Between):
-    """Equal boosters attached to the core of a stage: rigid bodies with fixed nozzles."""
+    """Equal boosters attached to the core of a stage, rigid bodies."""
 
     name: values.ChannelPart = Field(description="name of the booster; several are numbered")
     positions_m: tuple[Pair, ...] = Field(min_length=1, description="y and z of each axis from the body axis, m")
@@ -245,7 +273,7 @@ class LayoutBooster(Between):
     part: tuple[DryMass, ...] = optional("dry parts without engines", ())
     tank: tuple[LayoutTank, ...] = optional("tanks with liquid propellant", (), max_length=MAX_PENDULUMS)
     grain: tuple[Grain, ...] = optional("solid propellant", ())
-    engine: LayoutThrust
+    engine: LayoutNozzles
     axial_factor: NotNegative = optional("factor on the assumed axial force coefficient", 1.0)
     ignition_after_s: values.Seconds = optional("ignition on the stage clock, s", 0.0)
     separation_after_s: values.Seconds = optional("time from burnout to separation, s", 1.0)
@@ -269,8 +297,14 @@ class LayoutBooster(Between):
     def _check(self) -> None:
         super()._check()
         check_grains(self.grain, 0.5 * self.diameter_m)
+        check_balance(self.tank)
         if self.usable_kg <= 0.0:
             raise refuse("no propellant", "tanks with more than their residual, or a grain", ("tank",))
+
+
+def steered_boosters(stage: LayoutStage) -> bool:
+    """Return True if engines of boosters of a stage are gimballed."""
+    return any(booster.engine.gimbal == "both" for booster in stage.booster)
 
 
 class LayoutStage(Between):
@@ -305,6 +339,7 @@ class LayoutStage(Between):
 
     def _check(self) -> None:
         check_grains(self.grain, 0.5 * self.diameter_m)
+        check_balance(self.tank)
         if self.usable_kg <= 0.0:
             raise refuse("no propellant", "tanks with more than their residual, or a grain", ("tank",))
         self.at_most_one("bending", "spatial_modes")
@@ -455,9 +490,6 @@ class Layout(Section):
             count = len(stage.booster)
             if n > 0 and count:
                 raise refuse("only the first stage has boosters", "none", ("stage", n, "booster"), value=count)
-            if stage.booster and stage.loads is not None:
-                problem = "section loads of a stage with boosters are not modelled"
-                raise refuse(problem, "a stage without", ("stage", n, "loads"), value={})
         if self.trajectory.orbit_altitude_m is not None and len(self.stage) == 1:
             raise refuse(
                 "a single stage does not steer to an orbit", "two stages or more", ("trajectory", "orbit_altitude_m")

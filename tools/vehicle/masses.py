@@ -39,6 +39,7 @@ class Rod:
     rear_station_m: float
     roll_m2: float  # Ixx / m
     across_m2: float  # transverse inertia / m, without L^2 / 12
+    place_m: tuple[float, float] = (0.0, 0.0)  # y and z of its axis
 
     @property
     def station_m(self) -> float:
@@ -58,7 +59,7 @@ def ring(mass_kg: float, front_m: float, rear_m: float, radius_m: float) -> Rod:
 
 @dataclass(frozen=True)
 class MassProperties:
-    """Mass properties about the CG in body axes.
+    """The mass properties about the CG in body axes, which is on the axis.
 
     Liquids are frozen: they do not slosh. Only the share `roll_share` of a liquid rotates about the roll axis.
     """
@@ -67,6 +68,7 @@ class MassProperties:
     x_cg_m: float
     roll_kgm2: float
     pitch_kgm2: float
+    yaw_kgm2: float
 
 
 @dataclass(frozen=True)
@@ -266,12 +268,25 @@ class Stack:
         return self.leave_s is None and self.burn.end_s - self.full_s[1] >= LONG_TAIL_S
 
     def thrusts_N(self, t: float, pressure_Pa: float) -> tuple[float, float]:
-        """Return the thrust of all engines at ambient pressure, and that of the core's engines alone, which are
-        gimballed.
+        """Return the thrust of all engines at ambient pressure, and that of gimballed ones.
+
+        Gimballed boosters count as thrust with the same moment at the core's gimbal.
         """
         own = _net_N(self.burn, self.stage.engine, t, pressure_Pa)
-        others = (len(s.booster.positions_m) * _net_N(s.burn, s.booster.engine, t, pressure_Pa) for s in self.boosters)
-        return own + sum(others), own
+        total, steered = own, own
+        for s in self.boosters:
+            e = s.booster.engine
+            thrust = len(s.booster.positions_m) * _net_N(s.burn, e, t, pressure_Pa)
+            total += thrust
+            if e.gimbal == "both":
+                cg_m = self.mass_properties(t).x_cg_m
+                steered += thrust * (e.gimbal_station_m - cg_m) / (self.stage.engine.gimbal_station_m - cg_m)
+        return total, steered
+
+    @property
+    def moving_boosters(self) -> tuple[str, ...]:
+        """Return the names of the boosters with gimballed engines."""
+        return tuple(name for s in self.boosters if s.booster.engine.gimbal == "both" for name in s.booster.names)
 
     def used_kg(self, t: float) -> float:
         """Return the propellant burned by the stage and its attached boosters until time `t` (s)."""
@@ -334,15 +349,18 @@ class Stack:
         cg = sum(b.mass_kg * b.x_cg_m for b, _ in bodies) / mass
         roll = sum(b.roll_kgm2 + b.mass_kg * (y * y + z * z) for b, (y, z) in bodies)
         pitch = sum(b.pitch_kgm2 + b.mass_kg * ((b.x_cg_m - cg) ** 2 + z * z) for b, (_, z) in bodies)
-        return MassProperties(mass, cg, roll, pitch)
+        yaw = sum(b.yaw_kgm2 + b.mass_kg * ((b.x_cg_m - cg) ** 2 + y * y) for b, (y, _) in bodies)
+        return MassProperties(mass, cg, roll, pitch, yaw)
 
 
 def properties_of(rods: Sequence[Rod]) -> MassProperties:
-    """Return the mass properties of masses on a common axis."""
+    """Return the mass properties of masses that balance each other about the axis."""
     mass = sum(r.mass_kg for r in rods)
     cg = sum(r.mass_kg * r.station_m for r in rods) / mass
-    pitch = sum(r.inertia_kgm2 + r.mass_kg * (r.station_m - cg) ** 2 for r in rods)
-    return MassProperties(mass, cg, sum(r.mass_kg * r.roll_m2 for r in rods), pitch)
+    across = sum(r.inertia_kgm2 + r.mass_kg * (r.station_m - cg) ** 2 for r in rods)
+    roll = sum(r.mass_kg * r.roll_m2 for r in rods)
+    along_y, along_z = (sum(r.mass_kg * r.place_m[k] ** 2 for r in rods) for k in (0, 1))
+    return MassProperties(mass, cg, roll + along_y + along_z, across + along_z, across + along_y)
 
 
 def _net_N(burn: ThrustCurve, e: LayoutThrust, t: float, pressure_Pa: float) -> float:
@@ -398,7 +416,8 @@ def _column(tank: LayoutTank, mass_kg: float) -> Rod:
     centroid = float(np.trapezoid(area * z, z)) / total if total > 0.0 else 0.0
     middle = tank.bottom_station_m - r * centroid
     half = r * min(centroid, depth - centroid)
-    return Rod(mass_kg, middle - max(half, 1e-4), middle + max(half, 1e-4), 0.5 * tank.roll_share * r * r, 0.25 * r * r)
+    ends, roll = (middle - max(half, 1e-4), middle + max(half, 1e-4)), 0.5 * tank.roll_share * r * r
+    return Rod(mass_kg, *ends, roll, 0.25 * r * r, tank.position_m)
 
 
 def stacks(layout: Layout) -> list[Stack]:

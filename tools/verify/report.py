@@ -23,7 +23,7 @@ from maxq.design.verify.suite import ACCEPTED, REJECTED, SCREENED, UNDECIDED, Ju
 from maxq.design.verify.verify import Verification
 from maxq.design.verify.worst import WorstVehicle
 from maxq.sim.campaign.analysis import finer_text
-from maxq.sim.campaign.statistics import MET
+from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.files import plain_name, write_whole
 from maxq.sim.flight.metric_table import unit_of
 from maxq.sim.run.metrics import Verdict
@@ -33,7 +33,7 @@ from maxq.tools.design.report import GAIN_HEADS, uncovered_lines, uncovered_reco
 from maxq.tools.pages.render import render
 from maxq.tools.plots.figures import Plot, as_csv
 from maxq.tools.verify.board import board_record, board_tables, waiver_lines
-from maxq.tools.verify.outcome import headline, verdict_word
+from maxq.tools.verify.outcome import headline
 from maxq.tools.verify.records import RESULTS_NAME, file_hashes, record_lines, records, write_attempts, write_runs
 from maxq.tools.verify.signing import SUFFIX
 
@@ -42,7 +42,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _PRINT_S = 60.0
 _RANKED = ("upper gain margin", "phase margin", "phase margin at mode 1")
 _HEADINGS = ("gain dB", "phase deg", "mode 1 deg")  # headings of these margins in the ranking
-WORDS = {ACCEPTED: MET, REJECTED: REJECTED, UNDECIDED: UNDECIDED}  # outcomes of a single requirement
+WORDS = {ACCEPTED: MET, REJECTED: NOT_MET, UNDECIDED: UNDECIDED}  # outcomes of a single requirement
 _KEYS = {"judgement": "verdict"}  # keys of a requirement that verdict.json renames
 FLIGHT = ("name", "outcome", "passed", "failures", "metrics", "state_hash", "again")
 _LINE = (
@@ -104,7 +104,7 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
         found=found,
         command=command,
         headline=headline(found),
-        verdict_word=verdict_word(found.judgement, found.requirements),
+        outcomes=WORDS,
         board_tables=board_tables(found),
         record_lines=record_lines(found),
         tank_name=tank_name,
@@ -132,6 +132,8 @@ def _summary(found: Verification) -> list[dict[str, Any]]:
         asked["margins"] = f"linear margins of the design at {nodes} operating points, {' and '.join(margins.planes)}"
         vehicles = next((len(m.random) + len(m.corners) for m in found.results.margins), 0)
         asked["dispersed"] = f"the same of {vehicles} {found.deviations or 'dispersed vehicles'}"
+        if (worst := margins.worst) is not None:
+            asked["worst"] = f"search for the worst vehicle within {worst.sigmas:g} sigma"
     if suite.certificate is not None:
         nodes = len(found.results.certificates)
         asked["certificate"] = f"linear loop and flight agree at {nodes} operating point{'s' * (nodes != 1)}"
@@ -348,7 +350,7 @@ def reasons(found: Verification) -> list[str]:
     """Return a line for each requirement that prevents acceptance, followed by the command that reproduces it."""
     out = []
     for r in (*found.of(REJECTED), *found.of(UNDECIDED)):
-        out.append(f"  {r.judgement}: {printable(r.reason)}")
+        out.append(f"  {WORDS[r.judgement]}: {printable(r.reason)}")
         out += [f"      {from_here(r.again)}"] if r.again else []
     return out
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from maxq.design.laws.design_file import DESIGN_NAME, design_path
@@ -22,6 +23,7 @@ from maxq.design.verify.verify import SAMPLE, WAITING, Verification, part_alone,
 from maxq.sim.campaign.schema import Campaign
 from maxq.sim.files import check_writable, plain_name
 from maxq.sim.input.errors import ScenarioError
+from maxq.sim.run.guard import kill_workers
 from maxq.sim.scenario.flight_code import flight_code_key
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
@@ -30,6 +32,7 @@ from maxq.tools.design import run_case
 from maxq.tools.verify import report, signing
 from maxq.tools.verify.outcome import headline
 
+KEPT = "interrupted; finished results are kept, and the same command resumes"
 _EXIT: dict[suites.SuiteVerdict, Exit] = {
     suites.ACCEPTED: Exit.OK,
     suites.WAIVED: Exit.OK,
@@ -55,10 +58,12 @@ def execute(
     author: str = "",
     revision: str = "",
     date: str = "",
+    end: Callable[[], object] | None = None,
 ) -> int:
     """Verify designs, write their packs and rank them. Return the exit code for the best design.
 
-    The arguments are the options of `simverify`. Raises CommandError and ScenarioError.
+    The arguments are the options of `simverify`. `end` ends the process if an interrupted computation does not return
+    soon. Raises CommandError and ScenarioError.
     """
     if len(set(designs)) < len(designs):
         raise CommandError("a design is named twice")
@@ -79,7 +84,7 @@ def execute(
     for folder in folders:
         check_writable(folder)
     found: list[Verification] = []
-    with Interruption() as stop, Progress() as progress:
+    with Interruption(last_resort=_without_workers(end)) as stop, Progress() as progress:
         for name, path, folder in zip(designs, paths, folders, strict=True):
             begun = time.perf_counter()
             try:
@@ -119,6 +124,17 @@ def execute(
     if len(found) > 1:
         tell(*report.ranking(found))
     return _EXIT[report.ranked(found)[0].judgement]
+
+
+def _without_workers(end: Callable[[], object] | None) -> Callable[[], object] | None:
+    """Return a function that kills the processes of flight code and calls `end`, or None without `end`."""
+
+    def kill_and_end() -> None:
+        assert end is not None
+        kill_workers()
+        end()
+
+    return None if end is None else kill_and_end
 
 
 def _announced(progress: Progress) -> Watch:
@@ -219,9 +235,15 @@ def in_order(found: Sequence[Candidate]) -> list[Candidate]:
     return sorted(found, key=lambda c: (not c.meets_limits, c.objective_db if same else -c.modulus))
 
 
-def execute_cases(cases: Iterable[Callable[[], run_case.Made]], suite: str, pack: bool = True) -> int:
-    """Run each case, then verify the designs in order of merit. Return the exit code. `pack` adds the review to each
-    pack.
+def execute_cases(
+    cases: Iterable[Callable[[], run_case.Made]],
+    suite: str,
+    pack: bool = True,
+    end: Callable[[str], object] | None = None,
+) -> int:
+    """Run each case, then verify the designs in order of merit. Return the exit code.
+
+    `pack` adds the review to each pack. For `end`, see `execute`.
     """
     suites.read_suite(suite)  # report an error in the suite before the minutes of designing
     made = []
@@ -249,10 +271,11 @@ def execute_cases(cases: Iterable[Callable[[], run_case.Made]], suite: str, pack
 
     names = [str(c.folder) for c in ranked]
     try:
-        with Interruption() as stop, Progress() as progress:
+        last_resort = _without_workers(None if end is None else partial(end, KEPT))
+        with Interruption(last_resort=last_resort) as stop, Progress() as progress:
             accepted, every = try_in_order(names, suite, keep=keep, watch=progress.show, stop=stop)
     except KeyboardInterrupt:
-        say("simdesign", "interrupted; what was worked out is kept, the same command resumes")
+        say("simdesign", KEPT)
         return Exit.INTERRUPTED
     if accepted is not None:
         count = "the only candidate" if len(names) == 1 else f"candidate {len(every)} of {len(names)}"

@@ -130,7 +130,7 @@ def actuator_output(a: Actuator, y: Array, i: int, command: float, before: float
         angle, rate, accel = command, 0.0, 0.0
     elif a.limits_on_engine == 1 or a.order == 2:
         angle, rate = y[i], y[i + 1]
-        accel = _servo_acceleration(a, _servo_target(a, y, i, command), angle, rate, 0.0)
+        accel = _servo_acceleration(a, _servo_target(a, y, i, command), angle, rate)
     elif a.order == 4:
         angle, rate = y[i + 2], y[i + 3]
         accel = _section_acceleration(a.omega_2_radps, a.zeta_2, y[i], angle, rate)
@@ -179,30 +179,24 @@ def _servo_target(a: Actuator, y: Array, i: int, command: float) -> float:
 
 
 @kernel
-def _servo_acceleration(a: Actuator, target: float, angle: float, rate: float, resistance: float) -> float:
-    """Return the acceleration of the servo that moves against `resistance`, a torque relative to the stall torque."""
+def _servo_acceleration(a: Actuator, target: float, angle: float, rate: float) -> float:
     w1 = a.omega_1_radps
     damp_1 = 2.0 * a.zeta_1 * w1
     rate_command = w1 * w1 / damp_1 * (target - angle)
-    if resistance == 0.0:
-        rate_command = min(max(rate_command, -a.rate_limit_radps), a.rate_limit_radps)
-    else:  # flow through a fully open valve, see the module's text
-        lowest = -a.rate_limit_radps * math.copysign(math.sqrt(abs(1.0 + resistance)), 1.0 + resistance)
-        highest = a.rate_limit_radps * math.copysign(math.sqrt(abs(1.0 - resistance)), 1.0 - resistance)
-        rate_command = min(max(rate_command, lowest), highest)
+    rate_command = min(max(rate_command, -a.rate_limit_radps), a.rate_limit_radps)
     accel: float = damp_1 * (rate_command - rate)
     return accel
 
 
 @kernel
-def actuator_derivative(a: Actuator, y: Array, i: int, command: float, resistance: float, dy: Array) -> None:
+def actuator_derivative(a: Actuator, y: Array, i: int, command: float, dy: Array) -> None:
     """Write the time derivative of the states at y[i:i+6] under a held command (rad)."""
     if a.ideal == 1:
         for j in range(6):
             dy[i + j] = 0.0
         return
     dy[i] = y[i + 1]
-    dy[i + 1] = _servo_acceleration(a, _servo_target(a, y, i, command), y[i], y[i + 1], resistance)
+    dy[i + 1] = _servo_acceleration(a, _servo_target(a, y, i, command), y[i], y[i + 1])
     into_second = command if a.limits_on_engine == 1 else y[i]
     for j in range(2, 6):
         dy[i + j] = 0.0
@@ -260,19 +254,33 @@ def actuator_motion(
 
 
 @kernel
-def actuator_rates(
-    a: Actuator, faults: Array, channel: int, y: Array, i: int, command: float, resistance: float, dy: Array
-) -> None:
+def actuator_rates(a: Actuator, faults: Array, channel: int, y: Array, i: int, command: float, dy: Array) -> None:
     """Write `actuator_derivative` with the faults of this actuator.
 
     A stuck servo keeps its position, and its rate state decays.
     """
     if faults[ANY_FAULT] == 0.0:
-        actuator_derivative(a, y, i, command, resistance, dy)
+        actuator_derivative(a, y, i, command, dy)
         return
-    actuator_derivative(a, y, i, _faulty_command(faults, channel, command), resistance, dy)
+    actuator_derivative(a, y, i, _faulty_command(faults, channel, command), dy)
     if faults[ACTUATOR_FAULT + channel] == STUCK:
         dy[i], dy[i + 1] = 0.0, -2.0 * a.zeta_1 * a.omega_1_radps * y[i + 1]
+
+
+@kernel
+def resisted_acceleration(
+    a: Actuator, faults: Array, channel: int, y: Array, i: int, command: float, resistance: float
+) -> float:
+    """Return the acceleration of a servo against `resistance`, a torque relative to the stall torque, rad/s2."""
+    if faults[ANY_FAULT] > 0.0:
+        command = _faulty_command(faults, channel, command)
+    w1, angle, rate = a.omega_1_radps, y[i], y[i + 1]
+    damp_1 = 2.0 * a.zeta_1 * w1
+    wanted = w1 * w1 / damp_1 * (_servo_target(a, y, i, command) - angle)
+    lowest = -a.rate_limit_radps * math.copysign(math.sqrt(abs(1.0 + resistance)), 1.0 + resistance)
+    highest = a.rate_limit_radps * math.copysign(math.sqrt(abs(1.0 - resistance)), 1.0 - resistance)
+    accel: float = damp_1 * (min(max(wanted, lowest), highest) - rate)
+    return accel
 
 
 @kernel

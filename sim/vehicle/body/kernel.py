@@ -49,7 +49,7 @@ def _at_rest(e: Engine, k: int, gimbal: Vector) -> Vector:
 def displaced_inertia(e: Engine, k: int, engine: Deflected, inertia: Symmetric) -> Symmetric:
     """Return `inertia` about the core CG after the deflection of engine k from its rest position."""
     mass, rest = e.gimballed_mass_kg[k], _at_rest(e, k, engine.gimbal)
-    return _plus_point(_plus_point(inertia, mass, add(rest, engine.delta)), -mass, rest)
+    return plus_point(plus_point(inertia, mass, add(rest, engine.delta)), -mass, rest)
 
 
 @kernel
@@ -64,12 +64,12 @@ def balance(
         engine = deflected_at(engines[k])
         inertia = displaced_inertia(e, k, engine, inertia)
         offset = add(offset, scaled(e.gimballed_mass_kg[k] * inverse_mass, engine.delta))
-    xx, yy, zz, xy, xz, yz = _plus_point(inertia, -properties[sch.CORE_MASS], offset)
+    xx, yy, zz, xy, xz, yz = plus_point(inertia, -properties[sch.CORE_MASS], offset)
     return Balance(offset, inertia, inverse_inertia((xx - given_way_kgm2, yy, zz, xy, xz, yz)), given_way_kgm2)
 
 
 @kernel
-def _plus_point(j: Symmetric, mass: float, at: Vector) -> Symmetric:
+def plus_point(j: Symmetric, mass: float, at: Vector) -> Symmetric:
     """Return the inertia integrals with the addition of a point mass."""
     xx, yy, zz = at[0] * at[0], at[1] * at[1], at[2] * at[2]
     return (
@@ -145,7 +145,7 @@ def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, properties: Array) -
         )
         inner = add(inner, scaled(flow, at))
         yy, zz, yz = flow * e.exit_yy_m2[k], flow * e.exit_zz_m2[k], flow * e.exit_yz_m2[k]
-        m = _plus_point(damping, flow, at)
+        m = plus_point(damping, flow, at)
         damping = (m[0] + (yy + zz), m[1] + zz, m[2] + yy, m[3], m[4], m[5] + yz)
     for tank in range(sizes.pendulums):
         c = sch.tank_column(tank)
@@ -156,7 +156,7 @@ def prepare_outflow(e: Engine, slosh: Slosh, sizes: Counts, properties: Array) -
         )
         growth = properties[c + sch.TANK_MASS_RATE]
         inner = add(inner, scaled(growth, at))
-        damping = _plus_point(damping, growth, at)
+        damping = plus_point(damping, growth, at)
     behind = sch.schedule_width(sizes)
     properties[behind + sch.INVERSE_CORE_MASS] = 1.0 / mass
     properties[behind + sch.INVERSE_TOTAL_MASS] = 1.0 / properties[sch.TOTAL_MASS]

@@ -3,39 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from maxq.control.kernel.limits import MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_SURFACES
+from maxq.control.kernel.limits import MAX_BOOSTERS, MAX_ENGINES, MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_SURFACES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit
 from maxq.sim.input.remembered import cached_by_identity
 from maxq.sim.input.values import to_ns
+from maxq.sim.vehicle.air.packing import surface_bodies
 from maxq.sim.vehicle.engine.burn import Burn
 from maxq.sim.vehicle.engine.packing import on_clock
 from maxq.sim.vehicle.loads import kernel as columns_of
 from maxq.sim.vehicle.loads import section as schema
 from maxq.sim.vehicle.loads.kernel import Loads
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
-from maxq.sim.vehicle.slosh.packing import pendulum_curves
+from maxq.sim.vehicle.slosh.packing import pendulum_curves, pendulums
 from maxq.sim.vehicle.slosh.section import Tank
 from maxq.sim.vehicle.state import Sizes
 
 if TYPE_CHECKING:
+    from maxq.sim.scenario.schema_booster import Booster
     from maxq.sim.scenario.schema_scenario import Scenario
     from maxq.sim.scenario.schema_vehicle import Stage
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)  # exact to degree 7; mass times shape has degree 5
 
 
-def pack_loads(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, pool: Pool) -> Loads:
-    """Return the section loads of a stage, without stations unless they are switched on."""
+class CarriedBoosters(NamedTuple):
+    """The mass properties of the boosters without bobs: over the clock of their tables, and of the schedule."""
+
+    nominal: Sequence[Cubics] = ()
+    flown: Sequence[Cubics] = ()
+
+
+def pack_loads(
+    scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, pool: Pool, boosters: CarriedBoosters
+) -> Loads:
+    """Return the section loads of a stage, or none unless they are switched on."""
     given = stage.loads
     stations, bottoms = np.zeros(MAX_LOAD_STATIONS), np.full(MAX_PENDULUMS, -np.inf)
     places, shares = np.zeros(MAX_SURFACES), np.zeros(MAX_SURFACES)
+    carried = _carried(stage, sizes)
     if given is None or not scenario.switches.section_loads:
-        return Loads(0, 1, 0, 1, NO_TABLE, 0.0, 1.0, stations, bottoms, 0, places, shares)
+        none: dict[str, Any] = {"boosters": 0, "booster_table": NO_TABLE, "booster_axial": NO_TABLE}
+        return Loads(0, 1, 0, 1, NO_TABLE, 0.0, 1.0, stations, bottoms, 0, places, shares, **none, **carried)
     stations[: len(given.stations_m)] = given.stations_m
     tanks = stage.tank if sizes.pendulums > 0 else ()
     below = [
@@ -52,21 +65,87 @@ def pack_loads(scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, pool:
     alike = bending is None or bending.pitch == bending.yaw
     yaw = pitch if alike else bending.yaw_modes if bending is not None and sizes.yaw_modes else None
     spatial = stage.spatial_modes.modes if stage.spatial_modes is not None and sizes.spatial_modes else None
-    ends = [engine.gimbal_station_m for engine in stage.engines] or given.line_mass["rear_station_m"].tolist()
+    tables: dict[str, Any] = {"booster_table": NO_TABLE, "booster_axial": NO_TABLE}
+    if not stage.booster:
+        columns = _table(given, tanks, pitch, yaw, spatial, stage.interpolation)
+    else:
+        bearers = _bearers(stage, boosters.nominal)
+        columns, shapes = _columns(given, tanks, pitch, yaw, spatial, stage.interpolation, bearers)
+        tables["booster_table"] = pool.add(*boosters.flown, on_clock(shapes, burn))
+        tables["booster_axial"] = pool.add(*(_axial(stage, booster) for booster in stage.booster))
+    ends = [engine.gimbal_station_m for engine in stage.own_engines] or given.line_mass["rear_station_m"].tolist()
     return Loads(
         stations=len(given.stations_m),
         period_ns=to_ns(given.period_s),
         coast=int(given.coast),
         alike=int(alike),
-        table=pool.add(on_clock(_table(given, tanks, pitch, yaw, spatial, stage.interpolation), burn)),
+        table=pool.add(on_clock(columns, burn)),
         nose_m=given.nose_station_m,
-        tail_m=min(ends) if stage.engines else max(ends),
+        tail_m=min(ends) if stage.own_engines else max(ends),
         station_m=stations,
         bottom_m=bottoms,
         axial_points=points,
         axial_m=places,
         axial_share=shares,
+        boosters=len(stage.booster),
+        **tables,
+        **carried,
     )
+
+
+def _carried(stage: Stage, sizes: Sizes) -> dict[str, Any]:
+    """Return the places of the boosters, and the booster of each engine, pendulum and surface (-1: the core)."""
+    out: dict[str, Any] = {}
+    for name in ("held_m", "second_m", "axis_y_m", "axis_z_m"):
+        out[name] = np.zeros(MAX_BOOSTERS)
+    for b, booster in enumerate(stage.booster[:MAX_BOOSTERS]):
+        out["held_m"][b], out["second_m"][b] = booster.attachments_m[0], booster.attachments_m[-1]
+        out["axis_y_m"][b], out["axis_z_m"][b] = booster.position_m
+    out["engine_y_m"], out["engine_z_m"] = np.zeros(MAX_ENGINES), np.zeros(MAX_ENGINES)
+    for n, engine in enumerate(stage.engines):
+        out["engine_y_m"][n], out["engine_z_m"][n] = engine.offset_m
+    of_tanks = [pendulum.body for pendulum in pendulums(stage)[: sizes.pendulums]]
+    for name, bodies, size in (
+        ("engine_booster", stage.engine_bodies, MAX_ENGINES),
+        ("tank_booster", of_tanks, MAX_PENDULUMS),
+        ("surface_booster", surface_bodies(stage), MAX_SURFACES + 1),
+    ):
+        out[name] = np.full(size, -1, np.int64)
+        out[name][: len(bodies)] = np.array(bodies, np.int64) - 1
+    return out
+
+
+def _axial(stage: Stage, booster: Booster) -> Cubics:
+    """Return CA of a booster over Mach number, as the stage's table interpolates it."""
+    if booster.aero is None or stage.aero is None:
+        return fit([0.0], [[0.0]])
+    table = booster.aero.table
+    return fit(table["mach"], table.get("CA")[:, None], stage.aero.interpolation)
+
+
+class _Bearer(NamedTuple):
+    """A booster on the core: its attachments, and its mass properties over the time since its ignition."""
+
+    attachments_m: tuple[float, ...]
+    ignition_s: float
+    mass: Cubics
+
+    def at(self, times: Array) -> tuple[Array, Array, Array]:
+        """Return mass, station of the CG and mean transverse inertia (T,) at times of the stage clock."""
+        rows = self.mass.at(times - self.ignition_s)
+        return rows[:, 0], rows[:, 1], 0.5 * (rows[:, 5] + rows[:, 6])
+
+    def shapes(self, core: _Shapes) -> tuple[Array, Array]:
+        """Return the shape at the first attachment and the slope of the booster (T, M) (docs/model.md, 4.12)."""
+        first, last = self.attachments_m[0], self.attachments_m[-1]
+        held, slope = core.value_and_slope(first)
+        if first != last:
+            slope = (core.value_and_slope(last)[0] - held) / (last - first)
+        return held, slope
+
+
+def _bearers(stage: Stage, nominal: Sequence[Cubics]) -> tuple[_Bearer, ...]:
+    return tuple(_Bearer(b.attachments_m, b.ignition_s, mass) for b, mass in zip(stage.booster, nominal, strict=True))
 
 
 def _liquids_of(loads: schema.LoadsSection, tanks: Sequence[Tank]) -> list[schema.Liquid]:
@@ -84,18 +163,36 @@ def _table(
     spatial: SpatialModeTable | None,
     method: Method,
 ) -> Cubics:
-    """Return all columns over the stage clock."""
+    """Return all columns over the stage's clock, of a core without boosters."""
+    return _columns(loads, tanks, pitch, yaw, spatial, method, ())[0]
+
+
+def _columns(
+    loads: schema.LoadsSection,
+    tanks: tuple[Tank, ...],
+    pitch: ModeTable | None,
+    yaw: ModeTable | None,
+    spatial: SpatialModeTable | None,
+    method: Method,
+    boosters: tuple[_Bearer, ...],
+) -> tuple[Cubics, Cubics]:
+    """Return all columns over the stage's clock, and those of the shapes of boosters."""
     planes = [pitch] if pitch is yaw else [pitch, yaw]
     modes = max((table.modes for table in planes if table is not None), default=0)
     sources = [liquid.table["time_s"] for liquid in loads.liquid]
     sources += [table.time_s for table in (*planes, spatial) if table is not None]
     if loads.limits is not None:
         sources.append(schema.limit_times_s(loads.limits))
+    sources += [booster.mass.breaks + booster.ignition_s for booster in boosters]
     times = np.unique(np.concatenate([np.zeros(1), *sources]))
-    body = _Body(loads, tanks, (*planes, spatial), times, method)
+    body = _Body(loads, tanks, (*planes, spatial), times, method, boosters)
     stations = np.array(loads.stations_m)
     rigid, limits = body.rigid(stations), _limits(loads, stations, times)
     per_station = [np.stack([*rigid, *limits], axis=2)]  # (times, stations, columns)
+    shapes = np.zeros((len(times), len(boosters), 2, columns_of.BOOSTER_ROWS, modes))
+    for plane, table in enumerate((pitch, yaw)):
+        if table is not None and boosters:
+            shapes[:, :, plane, :, : table.modes] = body.carried(table)
     for table in planes:
         if modes == 0:
             continue
@@ -108,7 +205,8 @@ def _table(
         rows = np.concatenate([along_z, along_y, body.axial(spatial, stations)[:, :, None]], axis=2)
         per_station.append(rows.reshape(len(times), len(stations), -1))
     columns = np.concatenate(per_station, axis=2).reshape(len(times), -1)
-    return fit(times, np.concatenate([np.stack(body.totals, axis=1), columns], axis=1), method)
+    whole = fit(times, np.concatenate([np.stack(body.totals, axis=1), columns], axis=1), method)
+    return whole, fit(times, shapes.reshape(len(times), -1), method)
 
 
 class _Part(NamedTuple):
@@ -135,6 +233,7 @@ class _Body:
         modes: Sequence[ModeTable | SpatialModeTable | None],
         times: Array,
         method: Method,
+        boosters: tuple[_Bearer, ...],
     ) -> None:
         line = loads.line_mass
         front, rear, mass = line["front_station_m"], line["rear_station_m"], line["mass_kg"]
@@ -152,7 +251,7 @@ class _Body:
         at = front[~spread]
         points = [np.broadcast_to(column[~spread][:, None], (len(times), len(at), 1)) for column in (front, mass)]
         self.parts.append(_Part(points[0], points[1], at, at, points[0]))
-        self.times, self.method = times, method
+        self.times, self.method, self.boosters = times, method, boosters
         bobs = dict(zip((tank.name or str(n + 1) for n, tank in enumerate(tanks)), tanks, strict=True))
         for liquid in loads.liquid:
             tank = bobs.get(liquid.tank)
@@ -202,12 +301,8 @@ class _Body:
         """
         shapes = _Shapes(table, self.times, self.method)
         phi = [shapes.at(part.x) for part in self.parts]  # (T, n, nodes, M)
-        total, first, second = self.totals
-        cg = first / total
+        cg, shift, turn = self._rigid_motion(shapes, phi)
         about_cg = [part.x - cg[:, None, None] for part in self.parts]
-        shift = self._sum(phi) / total[:, None]
-        turn = self._sum([p * r[..., None] for p, r in zip(phi, about_cg, strict=True)])
-        turn /= (second - first * cg)[:, None]
         force = [
             part.mass[..., None] * (p - shift[:, None, None] - turn[:, None, None] * r[..., None])
             for part, p, r in zip(self.parts, phi, about_cg, strict=True)
@@ -219,6 +314,38 @@ class _Body:
         mass = self._forward([part.mass for part in self.parts], stations, hanging=True)
         aside = self._forward(hung, stations, hanging=True) - mass[..., None] * here
         return np.stack([inertia, stations[:, None] * inertia - moment, aside, here], axis=2)
+
+    def carried(self, table: ModeTable) -> Array:
+        """Return the rows HELD to SLOPE_INERTIA (T, boosters, rows, modes) of one plane."""
+        shapes = _Shapes(table, self.times, self.method)
+        cg, shift, turn = self._rigid_motion(shapes, [shapes.at(part.x) for part in self.parts])
+        out = []
+        for booster in self.boosters:
+            held, slope = booster.shapes(shapes)
+            rigid = shift + turn * (booster.attachments_m[0] - cg)[:, None]
+            out.append(np.stack([held, slope, held - rigid, slope - turn], axis=1))
+        return np.stack(out, axis=1)
+
+    def _rigid_motion(self, shapes: _Shapes, phi: list[Array]) -> tuple[Array, Array, Array]:
+        """Return the CG (T,) of line mass and boosters, and shift and slope (T, M) of the shapes `phi` there.
+
+        Masses and transverse inertias are the weights.
+        """
+        total, first, second = self.totals
+        moved = self._sum(phi)
+        carried = [
+            (*booster.at(self.times), booster.attachments_m[0], *booster.shapes(shapes)) for booster in self.boosters
+        ]
+        for mass, x, inertia, at, held, slope in carried:
+            total, first, second = total + mass, first + mass * x, second + mass * x * x + inertia
+            moved = moved + mass[:, None] * (held + (x - at)[:, None] * slope)
+        cg = first / total
+        about_cg = [part.x - cg[:, None, None] for part in self.parts]
+        turned = self._sum([p * r[..., None] for p, r in zip(phi, about_cg, strict=True)])
+        for mass, x, inertia, at, held, slope in carried:
+            arm = (mass * (x - cg))[:, None]
+            turned = turned + arm * (held + (x - at)[:, None] * slope) + inertia[:, None] * slope
+        return cg, moved / total[:, None], turned / (second - first * cg)[:, None]
 
     def axial(self, table: SpatialModeTable, stations: Array) -> Array:
         """Return mass times axial shape of the parts supported forward of the stations, (T, stations, modes).
@@ -264,6 +391,18 @@ class _Shapes:
         value += h * (slope[t, k] * s * (1.0 - s) ** 2 + slope[t, k + 1] * s * s * (s - 1.0))
         beyond = (x - inside)[..., None]
         return np.asarray(value + beyond * np.where(beyond < 0.0, slope[t, 0 * k], slope[t, 0 * k + len(breaks) - 1]))
+
+    def value_and_slope(self, station_m: float) -> tuple[Array, Array]:
+        """Return phi and d(phi)/d(station) (T, M) at a station between the first and the last."""
+        k = int(np.clip(np.searchsorted(self._x, station_m, side="right") - 1, 0, len(self._x) - 2))
+        h = self._x[k + 1] - self._x[k]
+        s = (station_m - self._x[k]) / h
+        ends = [(f[:, :, k], f[:, :, k + 1]) for f in (self._phi, self._slope)]
+        (f_0, f_1), (d_0, d_1) = ends
+        value = f_0 * (1.0 + 2.0 * s) * (1.0 - s) ** 2 + f_1 * s * s * (3.0 - 2.0 * s)
+        value = value + h * (d_0 * s * (1.0 - s) ** 2 + d_1 * s * s * (s - 1.0))
+        slope = (f_1 - f_0) * 6.0 * s * (1.0 - s) / h + d_0 * (1.0 - s) * (1.0 - 3.0 * s) + d_1 * s * (3.0 * s - 2.0)
+        return value, slope
 
 
 def _gauss(low: Array, high: Array) -> tuple[Array, Array]:

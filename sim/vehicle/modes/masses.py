@@ -14,7 +14,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.sim.input.errors import refuse
-from maxq.sim.vehicle.modes.packing import spatial_on, spatial_shapes
+from maxq.sim.vehicle.modes.shapes import spatial_on, spatial_shapes
 from maxq.sim.vehicle.modes.tables import PointMass, SpatialModeTable, twisting
 
 

@@ -98,6 +98,7 @@ class TvcLoad:
     play_yaw_rad: LoadNumbers
     stall_pitch_Nm: LoadNumbers  # torque that stops the actuator; inf: none does
     stall_yaw_Nm: LoadNumbers
+    stalls: int  # 1: one of them is finite
 
 
 @dataclass
@@ -119,7 +120,6 @@ class Swing:
     accel_mps2: Annotated[Array, (3,)]  # of that CG
     alpha_radps2: Annotated[Array, (3,)]  # angular acceleration of the body
     known_Nm: float  # moment about the hinge without the accelerations sought
-    stall: float  # torque of the actuator on the engine, relative to its stall torque
     inertia_kgm2: float  # about the hinge
     planar_force_N: PerPlanarMode  # generalised forces on the modes, and the resulting accelerations
     planar_accel_mps2: PerPlanarMode
@@ -194,20 +194,27 @@ def link_moment(load: TvcLoad, k: int, y: Array, i: int, position: float, rate: 
 
 
 @kernel
-def resistance(load: TvcLoad, e: Engine, sizes: Counts, channel: int, system: System) -> float:
+def resistance(
+    load: TvcLoad, e: Engine, sizes: Counts, channel: int, y: Array, first: int, faults: Array, out: TvcLoadOutputs
+) -> float:
     """Return the torque against which the actuators of a channel move their engines, relative to the stall torque.
 
-    `channel` is twice the group, plus one in yaw. Actuators of a group resist together.
+    `channel` is twice the group, plus one in yaw. The states of the loads are at y[first:]. Actuators of a group resist
+    together.
     """
     torque_Nm = stall_Nm = 0.0
+    axis = channel % 2
+    if faults[ACTUATOR_FAULT + channel] == FLOATING:
+        return 0.0
     for n in range(sizes.tvc_loads):
-        if e.group[load.engine[n]] == channel // 2:
-            own = load.stall_pitch_Nm[n] if channel % 2 == 0 else load.stall_yaw_Nm[n]
-            if own == math.inf:
-                return 0.0
-            torque_Nm += own * record_at(system.swing, 2 * n + channel % 2).stall
-            stall_Nm += own
-    return torque_Nm / stall_Nm if stall_Nm > 0.0 else 0.0
+        k, at = load.engine[n], 2 * n + axis
+        if e.group[k] != channel // 2 or (e.follows_pitch[k] if axis == 0 else e.follows_yaw[k]) == 0.0:
+            continue
+        stall_Nm += load.stall_pitch_Nm[n] if axis == 0 else load.stall_yaw_Nm[n]
+        play = load.play_pitch_rad[n] if axis == 0 else load.play_yaw_rad[n]
+        i = first + N_TVC_LOAD * n + N_AXIS * axis
+        torque_Nm -= link_moment(load, n, y, i, out.actuator_rad[at], out.actuator_radps[at], play)
+    return torque_Nm / stall_Nm if 0.0 < stall_Nm < math.inf else 0.0
 
 
 @routine
@@ -272,9 +279,6 @@ def prepare_loads(
                 along, lever, own, moment_Nm = (0.0, 0.0, 0.0), 1.0, 0.0, 0.0
             out.hinge_moment_Nm[unknown] = moment_Nm
             swing, turn = record_at(system.swing, unknown), cross(engine.axis, along)
-            stall_Nm, swing.stall = load.stall_pitch_Nm[n] if axis == 0 else load.stall_yaw_Nm[n], 0.0
-            if stall_Nm < math.inf and floating == 0 and moves != 0.0:
-                swing.stall = -link_moment(load, n, y, i + N_AXIS * axis, position, speed, play) / stall_Nm
             force = scaled(unbalance, along)
             moment = add(scaled(unbalance, cross(cg, along)), scaled(-inertia, turn))
             set_vector(swing.force_N, 0, force)

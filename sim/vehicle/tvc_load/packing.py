@@ -24,7 +24,7 @@ def _tvc_loads(stage: Stage, e: Engine, sizes: Sizes, actuators: Sequence[Actuat
 
     Stops, play and stall torques are those of the actuators, pitch and yaw of each group.
     """
-    out: dict[str, Any] = {f.name: np.zeros(MAX_TVC_LOADS) for f in fields(TvcLoad)}
+    out: dict[str, Any] = {f.name: np.zeros(MAX_TVC_LOADS) for f in fields(TvcLoad) if f.name != "stalls"}
     out["engine"] = np.zeros(MAX_TVC_LOADS, np.int64)
     for k in range(sizes.engines):
         n = int(e.swings[k])
@@ -53,4 +53,5 @@ def _tvc_loads(stage: Stage, e: Engine, sizes: Sizes, actuators: Sequence[Actuat
         }
         for name, value in values.items():
             out[name][n] = value
+    out["stalls"] = int(any(math.isfinite(a.stall_torque_Nm) for a in actuators))
     return TvcLoad(**out)

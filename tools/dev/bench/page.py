@@ -256,6 +256,18 @@ def _optimise(result: dict[str, Any]) -> str:
     return "\n\n".join([text, _table(columns, rows), told])
 
 
+def _margins(result: dict[str, float]) -> str:
+    sweep_s = result["sweep_s"]
+    rows = [
+        ["margins of one loop, from Python", f"{result['loop_ms']:.2f} ms", "", ""],
+        ["sweep of 10,000 vehicles at 40 s", f"{sweep_s:.1f} s", "4 s", _met(sweep_s, 4.0)],
+        ["one of its loops, with its plant", f"{sweep_s / 10.0:.2f} ms", "", ""],
+        ["its loops near a limit, measured one by one", f"{result['exact']:g}", "", ""],
+        ["`simdesign analyse ksr3-default --no-pictures`", f"{result['analyse_s']:.1f} s", "", ""],
+    ]
+    return _table(("quantity", "CPU", "limit", "met"), rows)
+
+
 def _met(value: float, limit: float) -> str:
     return "yes" if value <= limit else "no"
 
@@ -315,6 +327,7 @@ def filled(text: str, results: dict[str, Any]) -> str:
         "precision": whole("precision", _precision),
         "steps": whole("steps", _steps),
         "optimise": whole("optimise", _optimise),
+        "margins": whole("margins", _margins),
         "replay": whole("replay", _replay),
         "campaigns": whole("campaigns", _campaigns),
         "cluster": whole("cluster", _cluster),

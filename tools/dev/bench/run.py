@@ -80,6 +80,7 @@ def main() -> int:
         "precision": lambda: _in_own_process("precision"),
         "steps": lambda: _in_own_process("steps"),
         "replay": lambda: _in_own_process("replay"),
+        "margins": lambda: _in_own_process("margins"),
         "campaigns": lambda: _in_own_process("campaigns"),
         "cluster": lambda: _in_own_process("cluster"),
         "optimise": lambda: _in_own_process("optimise", "--seconds", str(choice.search_seconds)),

@@ -20,18 +20,19 @@ from maxq.design.model.vehicle_at import StabilityDerivatives, stability_derivat
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
+from maxq.sim.run.quantities import number_text
 from maxq.sim.scenario.loader import load_scenario
 
 SCENARIO = "nominal"
 FIRST_S, LAST_S, EVERY_S, NODE_EVERY = 5.0, 55.0, 0.5, 20
 DEFAULT_FILE = Path(__file__).resolve().parents[3] / "docs" / "flights" / "nominal-derivatives.md"
 
-COLUMNS = {
-    "z_alpha_1ps": ("Z_alpha", "1/s"),
-    "m_alpha_1ps2": ("M_alpha", "1/s2"),
-    "z_delta_1ps": ("Z_delta", "1/s"),
-    "m_delta_1ps2": ("M_delta", "1/s2"),
-    "m_q_1ps": ("M_q", "1/s"),
+COLUMNS = {  # name, unit, meaning
+    "z_alpha_1ps": ("Z_alpha", "1/s", "normal acceleration by angle of attack, over airspeed"),
+    "m_alpha_1ps2": ("M_alpha", "1/s2", "pitch acceleration by angle of attack"),
+    "z_delta_1ps": ("Z_delta", "1/s", "normal acceleration by gimbal angle, over airspeed"),
+    "m_delta_1ps2": ("M_delta", "1/s2", "pitch acceleration by gimbal angle"),
+    "m_q_1ps": ("M_q", "1/s", "pitch acceleration by pitch rate"),
 }
 PAPER = {  # Table 2: minimum and maximum
     "z_alpha_1ps": (-0.55, -0.1),
@@ -65,7 +66,7 @@ def flown_derivatives(flight: Flight, times_s: Array) -> list[StabilityDerivativ
 
 def table_text(times_s: Array, values: Array) -> str:
     """Return the page. `values` is (times, 5), in the order of COLUMNS."""
-    names = [f"{name} ({unit})" for name, unit in COLUMNS.values()]
+    names = [f"{name}, {unit}" for name, unit, _ in COLUMNS.values()]
     lines = [
         "# Stability derivatives of the nominal flight",
         "",
@@ -78,17 +79,18 @@ def table_text(times_s: Array, values: Array) -> str:
         "",
         f"## Ranges from {FIRST_S:g} s to {LAST_S:g} s",
         "",
-        "| derivative | flown minimum | at s | flown maximum | at s | Table 2 minimum | Table 2 maximum |",
-        "|---|---|---|---|---|---|---|",
+        "| derivative | unit | meaning | flown range | at times, s | range in Table 2 |",
+        "|---|---|---|---|---|---|",
     ]
-    for k, (key, (name, unit)) in enumerate(COLUMNS.items()):
-        low, high = int(np.argmin(values[:, k])), int(np.argmax(values[:, k]))
-        paper = [f"{x:g}" for x in PAPER[key]] if key in PAPER else ["not given"] * 2
-        row = [f"{name} ({unit})", f"{values[low, k]:.3g}", f"{times_s[low]:g}", f"{values[high, k]:.3g}"]
-        lines.append("| " + " | ".join([*row, f"{times_s[high]:g}", *paper]) + " |")
+    for k, (key, about) in enumerate(COLUMNS.items()):
+        ends = [int(find(values[:, k])) for find in (np.argmin, np.argmax)]
+        flown = " to ".join(number_text(values[end, k], 3) for end in ends)
+        at_s = " and ".join(f"{times_s[end]:g}" for end in ends)
+        paper = "{:g} to {:g}".format(*PAPER[key]) if key in PAPER else "not given"
+        lines.append("| " + " | ".join([*about, flown, at_s, paper]) + " |")
     lines += [
         "",
-        f"Z_alpha, M_alpha and Z_delta reach the ends of the paper's ranges within {_farthest(values):.1%}.",
+        f"Z_alpha, M_alpha and Z_delta reach the ends of the paper's ranges within {100.0 * _farthest(values):.1f} %.",
         "M_delta spans less than its range: with the thrust and mass of Table 1, no plausible arrangement of masses",
         "reaches the ends.",
         "",
@@ -98,7 +100,7 @@ def table_text(times_s: Array, values: Array) -> str:
         "|---" * (1 + len(names)) + "|",
     ]
     for time_s, row in zip(times_s[::NODE_EVERY], values[::NODE_EVERY], strict=True):
-        lines.append(f"| {time_s:g} | " + " | ".join(f"{x:.4g}" for x in row) + " |")
+        lines.append(f"| {time_s:g} | " + " | ".join(number_text(x) for x in row) + " |")
     return "\n".join(lines) + "\n"
 
 

@@ -32,10 +32,10 @@ COMMANDS = {  # by the path that they write
     "runs/nominal": "simrun nominal",
     "runs/sheets": "simreplay runs/nominal --plots runs/sheets",
     "runs/first": "simrun campaigns/first",
-    "runs/my-gains": "simdesign analyse my-gains.toml --out runs/my-gains",
+    "runs/my-gains": "simdesign analyse my-gains.toml --plots --out runs/my-gains",
     "hawk": "simvehicle examples/own_vehicle/hawk.toml --out hawk",
     "runs/design": "simdesign hawk/case.toml --out runs/design --no-pictures",
-    "runs/loop": "simdesign analyse runs/design --scenario hawk/scenario.toml --at 50 --out runs/loop",
+    "runs/loop": "simdesign analyse runs/design --scenario hawk/scenario.toml --at 50 --plots --out runs/loop",
     "runs/verify-design": "simverify runs/design --suite hawk/suite.toml",
 }
 COPIES = {
@@ -46,7 +46,7 @@ COPIES = {
 SHOTS = {  # of each page: the elements shown
     "vehicle-page": ("hawk/vehicle.html", "#figure-vehicle, #figure-modes"),
     "campaign-report": ("runs/first/report.html", "#figure-histograms"),
-    "review-pack": ("runs/verify-design/review.html", ".verdict, .own-page > table:first-of-type"),
+    "review-pack": ("runs/verify-design/review.html", ".outcome, .own-page > table:first-of-type"),
 }
 SHOT_PX, SCALE, BORDER_PX = (1000, 1600), 1.5, 12
 DESIGN = "design=designs/ksr3-robust-ascent.toml"
