@@ -98,7 +98,7 @@ class LayoutTank(Section):
     dome_m: Pair = optional("heights of half-ellipsoidal domes, bottom and top, m; 0: flat", (0.0, 0.0))
     bottom_station_m: float = Field(description="aft end, m aft of the nose")
     position_m: Pair = optional(
-        "its axis, y and z from that of the stage or booster, m; liquids off the axis balance each other", (0.0, 0.0)
+        "y and z of its axis from that of the stage or booster, m; liquids off the axis balance each other", (0.0, 0.0)
     )
     damping_ratio: Fraction = optional("damping ratio of the slosh mode; 0.01 to 0.03 with ring baffles", 0.01)
     roll_share: Fraction = optional("share of the liquid's solid-body roll inertia that turns with the walls", 0.0)
