@@ -1,4 +1,4 @@
-"""File output: a file is written whole or not at all, and a failure is reported in one line.
+"""The output of files, which are written completely or not at all, with one-line messages of failures.
 
 write_whole(folder / "summary.json", text)
 with whole_file(folder / "gains.svg") as part:
@@ -24,7 +24,7 @@ Raises = Callable[[str], Exception]
 
 
 def write_whole(path: Path, content: str | bytes, raises: Raises = FileError, *, durable: bool = False) -> Path:
-    """Write text (UTF-8, newlines unchanged) or bytes as `whole_file` does, and return `path`."""
+    """Write text (UTF-8, newlines unchanged) or bytes by means of `whole_file`, and return `path`."""
     with whole_file(path, raises, durable=durable) as part:
         part.write_bytes(content.encode() if isinstance(content, str) else content)
     return path
@@ -34,8 +34,9 @@ def write_whole(path: Path, content: str | bytes, raises: Raises = FileError, *,
 def whole_file(path: Path, raises: Raises = FileError, *, durable: bool = False) -> Iterator[Path]:
     """Yield a hidden temporary path in the folder of `path`, and rename it to `path` at the end.
 
-    Missing folders are created. If writing fails, no file is left. An OSError is raised as `raises(line)`. `durable`:
-    flush the content to the disk before the rename, so that even a power failure leaves a whole file or none.
+    Missing folders are created. If writing fails, the temporary file is removed, and an OSError is raised as
+    `raises(line)`. With `durable`, the content is flushed to the disk before the file is renamed, so that even a power
+    failure leaves a complete file or none.
     """
     part = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}")
     try:
@@ -45,7 +46,7 @@ def whole_file(path: Path, raises: Raises = FileError, *, durable: bool = False)
             _sync(part)
         os.replace(part, path)
         if durable:
-            with contextlib.suppress(OSError):  # not every system can
+            with contextlib.suppress(OSError):  # some systems cannot flush a folder
                 _sync(path.parent)
     except OSError as error:
         raise raises(cannot_write(path, error)) from error
@@ -55,12 +56,15 @@ def whole_file(path: Path, raises: Raises = FileError, *, durable: bool = False)
 
 
 def plain_name(name: str, otherwise: str) -> str:
-    """Return a name from a file or a person as one part of a path: no separators, no dots at its ends, not long."""
+    """Return a name as a valid part of a path: at most 80 characters, no separators, and no dots or dashes at its ends.
+
+    If no character of the name is left, the result is `otherwise`.
+    """
     return re.sub(r"[^\w.-]+", "-", name)[:80].strip(".-") or otherwise
 
 
 def check_writable(folder: Path, raises: Raises = FileError) -> None:
-    """Raise `raises(line)` if files cannot be written into `folder`, which need not exist; create nothing."""
+    """Raise `raises(line)` if files cannot be written into `folder`. The folder need not exist and is not created."""
     try:
         there = next(path for path in (folder, *folder.parents) if path.exists())
         if not there.is_dir():
@@ -73,12 +77,12 @@ def check_writable(folder: Path, raises: Raises = FileError) -> None:
 
 
 def reason(error: OSError) -> str:
-    """Return the system's reason, as the end of a line."""
+    """Return the system's reason for an error in lower case, as the end of a message."""
     return (error.strerror or str(error)).lower()
 
 
 def cannot_write(path: Path, error: OSError) -> str:
-    """Return the line that says that a file cannot be written, why, and what to do."""
+    """Return a message that a file cannot be written, with the reason and, for common reasons, a remedy."""
     advice = ""
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         advice = "; make room and start the same command again"

@@ -97,7 +97,7 @@ class DriftRow(NamedTuple):
     """The log row of the drift feedback."""
 
     drift_axis_mps: Annotated[PitchYaw, "m/s", "drift velocity that the computer integrates, along +z and -y"]
-    displacement_axis_m: Annotated[PitchYaw, "m", "its integral"]
+    displacement_axis_m: Annotated[PitchYaw, "m", "integral of the drift velocity"]
     drift_share_axis_deg: Annotated[PitchYaw, "deg", "share of the drift in the law's output; 0 without drift feedback"]
 
 

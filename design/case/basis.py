@@ -156,10 +156,10 @@ class Robust(Spread):
     corner_sigmas: Annotated[float, Field(gt=0.0, le=3.0)] = optional(
         "deviation of each parameter at a corner, sigma", 2.0
     )
-    bending_damping: Shares = optional("of each mode", 0.0)
+    bending_damping: Shares = optional("damping of each mode", 0.0)
     delay_s: NotNegative = optional("in both directions, s; the delay is never negative", 0.005)
     rounds: Annotated[int, Field(ge=1, le=50)] = optional(
-        "rounds of searching the worst plants, adding them and designing again", 8
+        "rounds of searching for the worst plants, adding them and repeating the design", 8
     )
     limits: DispersedLimits = DispersedLimits()
 

@@ -79,17 +79,17 @@ class FilterBounds(Section):
     1 Hz, F4 became a lag network with an objective 8 dB lower.
     """
 
-    zero_hz: BetweenTimes = optional("of quadratic sections; from twice the crossover", (3.0, 100.0))
+    zero_hz: BetweenTimes = optional("zeros of quadratic sections; from twice the crossover", (3.0, 100.0))
     zero_zeta: BetweenTimes = optional(
         "a notch of 0.01 is optimal in the model but sensitive; one of 0.1 keeps 10 of its 14 dB for a mode 10 % off",
         (0.1, 1.2),
     )
-    pole_hz: BetweenTimes = optional("of quadratic sections; from twice the crossover", (3.0, 100.0))
+    pole_hz: BetweenTimes = optional("poles of quadratic sections; from twice the crossover", (3.0, 100.0))
     pole_zeta: BetweenTimes = optional(
         "below 0.3 a filter amplifies by more than 4 dB at its resonance; above 1 the roots are real", (0.3, 1.2)
     )
-    first_order_zero_hz: BetweenTimes = optional("of first-order sections", (2.0, 200.0))
-    first_order_pole_hz: BetweenTimes = optional("of first-order sections", (2.0, 200.0))
+    first_order_zero_hz: BetweenTimes = optional("zeros of first-order sections", (2.0, 200.0))
+    first_order_pole_hz: BetweenTimes = optional("poles of first-order sections", (2.0, 200.0))
 
     def _check(self) -> None:
         for key in type(self).model_fields:
@@ -141,9 +141,7 @@ class CaseLoopFilters(Section):
 
     attitude: FilterSections | None = optional("filter of the attitude error")
     rate: FilterSections | None = optional("filter of the (blended) rate")
-    acceleration: FilterSections | None = optional(
-        "filter of the lateral acceleration, before its lag; with load relief"
-    )
+    acceleration: FilterSections | None = optional("load relief: filter of the lateral acceleration before its lag")
 
     @property
     def each(self) -> tuple[tuple[int, int], ...]:
@@ -230,7 +228,7 @@ class Case(Basis, CaseHead):
     )
     law: Law = optional(
         "control law; pd: proportional-derivative with a bending filter; pid: pd with an integral; load-relief: pd "
-        "with feedback of the lateral acceleration; incidence-relief: pd with that of an estimated angle of attack; "
+        "with feedback of lateral acceleration; incidence-relief: pd with feedback of an estimated angle of attack; "
         "drift: pd with feedback of velocity and displacement across the path; pid-drift: drift with an integral",
         "pd",
     )

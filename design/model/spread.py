@@ -38,17 +38,17 @@ class Spread(Section):
 
     where: ClassVar[tuple[str, str]] = ("suite", "margins.three_sigma")
 
-    bending_frequency: Shares = optional("of each mode; the last value for all higher modes", (0.05, 0.10, 0.15))
-    bending_slope: Shares = optional("of each mode, at the gyro", 0.2)
-    bending_damping: Shares = optional("of each mode", 0.5)
-    slosh_frequency: Shares = optional("of each tank", 0.05)
-    slosh_mass: Shares = optional("of each tank", 0.10)
-    slosh_damping: Shares = optional("of each tank, with walls and rings", 0.5)
+    bending_frequency: Shares = optional("frequency of each mode; last value for all higher modes", (0.05, 0.10, 0.15))
+    bending_slope: Shares = optional("slope of each mode at the gyro", 0.2)
+    bending_damping: Shares = optional("damping of each mode", 0.5)
+    slosh_frequency: Shares = optional("frequency of each tank", 0.05)
+    slosh_mass: Shares = optional("slosh mass of each tank", 0.10)
+    slosh_damping: Shares = optional("damping of each tank, with walls and rings", 0.5)
     actuator_frequency: Shares = optional("poles of the actuators, of each group of engines", 0.15)
     thrust: Shares = optional("lateral authority, of each engine", 0.03)
-    normal_force: RelativeDeviation = optional("of all surfaces", 0.15)
-    inertia: RelativeDeviation = optional("transverse", 0.05)
-    centre_of_pressure_m: NotNegative = optional("m", 0.25)
+    normal_force: RelativeDeviation = optional("normal force of all surfaces", 0.15)
+    inertia: RelativeDeviation = optional("transverse inertia", 0.05)
+    centre_of_pressure_m: NotNegative = optional("centre of pressure, m", 0.25)
     delay_s: NotNegative = optional("in both directions, s; the delay stays between 0 and the sample period", 0.002)
     correlated: tuple[Correlated, ...] = optional(
         "correlated pairs of deviations, by their keys; with the number of the mode, tank, engine or group, from 0: "

@@ -115,7 +115,9 @@ class DispersedLimit(Section):
     """A limit for dispersed flights, which replaces the limit of the scenario."""
 
     requirement: str = Field(description="name of the scenario's requirement")
-    limit: float | str = Field(description="at most this, in the metric's unit; ${MARK * NUMBER} as in a flight")
+    limit: float | str = Field(
+        description="largest value allowed, in the metric's unit; ${MARK * NUMBER} as in a flight"
+    )
     why: str = Field(description="the engineering reason, shown in the review pack")
 
     def _check(self) -> None:
@@ -131,8 +133,7 @@ class SuiteFlight(Section):
 
     name: str = Field(description="name in reports")
     each: Each = optional(
-        "one flight for each of these values (for each combination of several keys), which replace $KEY in name and "
-        "set",
+        "a flight for each of these values (for each combination of several keys), which replace $KEY in name and set",
         {},
     )
     why: str = optional("purpose, one sentence", "")
@@ -144,7 +145,7 @@ class SuiteFlight(Section):
     )
     scale: dict[str, float | str] = optional("changes: key and factor on its value; * as in set", {})
     add: dict[str, float | str] = optional("changes: key and value to add; * as in set", {})
-    each_stage: bool = optional("one flight for each stage that burns, with the marks of that stage", False)
+    each_stage: bool = optional("a flight for each stage that burns, with the marks of that stage", False)
     limits: Literal["own", "dispersed"] = optional(
         "the scenario's own limits, or those of [[dispersed_limit]] where there is one", "own"
     )
@@ -261,7 +262,7 @@ class CampaignWanted(Section):
     name: str = optional("name in reports (default: the campaign's)", "")
     why: str = optional("the reason for its level and confidence, shown in the review pack", "")
     set: tuple[str, ...] = optional("changes, key=value as with simrun --set", ())
-    limits: Literal["own", "dispersed"] = optional("as of a flight", "own")
+    limits: Literal["own", "dispersed"] = optional("as for a flight", "own")
     runs: Annotated[int, Field(gt=0)] | None = optional("default: the campaign's")
     seed: Annotated[int, Field(ge=0, lt=2**63)] | None = optional("default: the campaign's")
     availability: SuiteProbability | None = optional(
@@ -288,7 +289,7 @@ class Suite(Section):
         "limits of flights and campaigns with limits = 'dispersed'", ()
     )
     baseline: str | None = optional(
-        "agreed suite with which this one is compared (default: the shipped suite that it extends, else standard)"
+        "agreed suite for comparison (default: the shipped suite that it extends, else standard)"
     )
     wind_limit_mps: Positive | None = optional(
         "steady cross-wind that the gimbal must be able to trim at every time, m/s"

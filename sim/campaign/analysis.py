@@ -1,17 +1,18 @@
 """The results in a campaign's data set: verdicts, quantiles, worst flights, percentiles over time, sensitivities.
 
-The data set is read column by column, so that memory stays bounded for any number of runs. The global sensitivity of a
-metric to the dispersed inputs is estimated from the runs flown, without further runs:
+The data set is read by columns, so that memory remains bounded for any number of runs. The global sensitivity of a
+metric to the dispersed inputs is estimated from the completed runs, without further runs:
 
-- rank correlation (Spearman): sign and strength of a monotone influence;
-- first-order Sobol' index: the share of the metric's variance that the input explains, as the variance between classes
-  of the input (Pearson's correlation ratio), corrected for the number of classes;
+- Rank correlation (Spearman): sign and strength of a monotone influence.
+- First-order Sobol' index: the share of the metric's variance that the input explains. It is estimated from the
+  variance between classes of the input (Pearson's correlation ratio), with a correction for the number of classes.
 - Borgonovo's delta: the mean shift of the metric's distribution when the input is known (Plischke, Borgonovo & Smith,
-  EJOR 226, 2013). It is half the difference between the histograms of a class and of all. The value for an independent
-  input in the same number of runs is subtracted. Delta also detects an influence on the spread alone.
+  EJOR 226, 2013). It is half the difference between the histograms of a class and of all runs, averaged over the
+  classes. The value for an independent input in the same number of runs is subtracted. Delta also detects an influence
+  on the spread alone.
 
-Each index refers to a single input. Inputs that are correlated with each other (neighbouring winds) share their
-influence.
+Each index refers to a single input. Inputs that are correlated with each other, such as winds at adjacent altitudes,
+share their influence.
 """
 
 from __future__ import annotations
@@ -43,14 +44,14 @@ if TYPE_CHECKING:
 
 SUMMARY_SCHEMA = 1
 CONTROL_KEPT = "control kept"
-"""The requirement of every campaign: no run diverges, loses control or is impossible."""
+"""The requirement of every campaign that a run keeps control and reaches its end without a failure."""
 ALL_REQUIREMENTS = "all requirements"
-"""The joint requirement: a flight meets all others. The share of these flights is that of the vehicle."""
-_KEPT_RUNS = 100_000  # 80 MB or so with a hundred columns
-_WORST = 10  # flights that are named for each requirement
-_MOST_RUNS = 20_000  # runs of a sensitivity: more do not change the digits shown
+"""The joint requirement that a flight meets all others."""
+_KEPT_RUNS = 100_000  # about 80 MB with a hundred columns
+_WORST = 10  # flights that are listed for each requirement
+_MOST_RUNS = 20_000  # runs for a sensitivity; more runs do not change the displayed digits
 _FEWEST_RUNS = 30
-_FINER = 12  # runs with a finer step that are named in a line; summary.json names all
+_FINER = 12  # runs with a finer step that a line lists; summary.json lists all
 _SHUFFLES = 8
 
 
@@ -63,28 +64,28 @@ class Worst:
 
 @dataclass(frozen=True)
 class Judged:
-    """A requirement and its verdict."""
+    """The verdict on a requirement of a campaign, with statistics of its metric."""
 
     name: str
-    metric: str  # empty: that control is kept, or the joint requirement
+    metric: str  # empty for CONTROL_KEPT and ALL_REQUIREMENTS
     unit: str
-    kind: str  # limit or minimum; empty as well
+    kind: str  # "limit" or "minimum"; empty without a metric
     bound: float
     shown: Shown
     median: float
-    quantile: float  # quantile of the share `success`, from the samples alone
-    tolerance: float  # bound of that quantile with the verdict's confidence; nan: too few runs
+    quantile: float  # sample quantile of the share `success`
+    tolerance: float  # bound of that quantile with the verdict's confidence; nan for too few runs
     worst: tuple[Worst, ...]
-    first_missed: int | None = None  # the first run that misses it, of those judged
+    first_missed: int | None = None  # first of the judged runs that misses the requirement
 
     @property
     def joint(self) -> bool:
-        """Return True for the joint requirement, that a flight meets all others."""
+        """Return True for the joint requirement."""
         return self.name == ALL_REQUIREMENTS and not self.metric
 
     @property
     def utilisation(self) -> float:
-        """Return the share of the limit that the worst run uses; nan where there is none."""
+        """Return the utilisation of the limit in the worst run; nan without a worst run or for a limit of 0 or less."""
         return utilisation(self.worst[0].value, self.kind, self.bound) if self.worst else math.nan
 
     @property
@@ -94,14 +95,14 @@ class Judged:
 
     @property
     def worst_text(self) -> tuple[str, str, str]:
-        """Return the worst value, the limit and their engineering unit for people."""
+        """Return the texts of the worst value, the limit and their engineering unit."""
         return against_limit(self.worst[0].value if self.worst else math.nan, self.kind, self.bound, self.unit)
 
 
 def tightest_first(verdicts: Iterable[Judged]) -> list[Judged]:
-    """Return verdicts in order: missed in a run, then those whose worst run has the least margin to the limit.
+    """Return verdicts in order: missed requirements, requirements missed in a run, and the others.
 
-    The joint requirement follows the requirements that cause its verdict.
+    Within each group, they are in order of decreasing utilisation in the worst run, and the joint requirement is last.
     """
 
     def order(v: Judged) -> tuple[bool | float, ...]:
@@ -113,7 +114,7 @@ def tightest_first(verdicts: Iterable[Judged]) -> list[Judged]:
 
 @dataclass(frozen=True)
 class Lost:
-    """A run without usable metrics, or one that lost control."""
+    """A run that lost control, failed, or has no usable metrics."""
 
     run: int
     outcome: str
@@ -123,11 +124,11 @@ class Lost:
 
 @dataclass(repr=False)
 class DataSet:
-    """The runs in a folder, in order."""
+    """The completed runs in a campaign's folder, in order."""
 
     folder: Path
     campaign: LoadedCampaign
-    limit: int | None = None  # only runs below this
+    limit: int | None = None  # runs below this number only
     _kept: dict[str, Array] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -136,9 +137,9 @@ class DataSet:
         )
 
     def to_pandas(self, *names: str) -> pd.DataFrame:
-        """Return columns of all runs over the run's number, a row for each run.
+        """Return a data frame with a row for each run and the columns `names`; without names, all columns.
 
-        Without names all columns are returned. pandas must be installed.
+        The index is the number of the run. Requires pandas. Raises KeyError for an unknown column.
         """
         known = schema_of(self.campaign).names
         if unknown := [name for name in names if name not in known]:
@@ -150,22 +151,22 @@ class DataSet:
         return [p.path for p in parts_in(self.folder) if self.limit is None or p.first < self.limit]
 
     def _table(self, names: list[str]) -> pa.Table:
-        """Return columns of all runs."""
+        """Return the columns `names` of all runs."""
         whole = schema_of(self.campaign)
         tables = [pa.schema([whole.field(name) for name in names]).empty_table()]
         tables += [read_part(path, names) for path in self.parts]
         return pa.concat_tables(tables).slice(0, len(self.runs))
 
     def column(self, name: str) -> pa.ChunkedArray:
-        """Return one column of all runs."""
+        """Return a column of all runs."""
         return self._table([name])[name]
 
     def numbers(self, name: str) -> Array:
-        """Return one column of numbers, nan for missing ones."""
+        """Return a column of numbers (runs,), with nan for missing values."""
         return self._kept[name] if name in self._kept else _numbers(self.column(name))
 
     def read(self, names: Iterable[str]) -> None:
-        """Read columns of numbers together, which is faster, and keep them, unless there are very many runs."""
+        """Read columns of numbers together, which is faster, and keep them if there are at most _KEPT_RUNS runs."""
         wanted = [name for name in dict.fromkeys(names) if name not in self._kept]
         if wanted and len(self.runs) <= _KEPT_RUNS:
             table = self._table(wanted)
@@ -179,19 +180,16 @@ class DataSet:
 
     @cached_property
     def in_order(self) -> int:
-        """Return the number of runs without a gap from the first one on, the basis of verdicts.
+        """Return the number of runs before the first gap, on which verdicts are based.
 
-        An interruption leaves gaps for runs that took long, perhaps because they failed.
+        An interruption leaves gaps for long runs, whose duration may be related to a failure.
         """
         gaps = np.flatnonzero(self.runs != np.arange(len(self.runs)))
         return int(gaps[0]) if len(gaps) else len(self.runs)
 
     @cached_property
     def planned(self) -> int | None:
-        """Return the number of runs after which the fixed test judges, or None for the any-time test.
-
-        The number was recorded before the first run was flown.
-        """
+        """Return the number of runs of the fixed test, recorded before the first run; None for the any-time test."""
         if self.campaign.campaign.test != "fixed":
             return None
         return int(read_manifest(self.folder)["campaign"]["runs"])
@@ -202,22 +200,22 @@ class DataSet:
 
     @cached_property
     def void(self) -> np.ndarray:
-        """Return True for runs without usable metrics."""
+        """Return a mask (runs,) of runs without usable metrics."""
         return np.array([outcome in VOID for outcome in self.outcomes], dtype=bool)
 
     @cached_property
     def kept(self) -> np.ndarray:
-        """Return True for runs that kept control and reached their end."""
+        """Return a mask (runs,) of runs that reached their end without a cause of failure."""
         causes = np.array([bool(cause) for cause in self.column("cause").to_pylist()], dtype=bool)
         return np.asarray(~causes & ~self.void)
 
     @cached_property
     def passed(self) -> np.ndarray:
-        """Return True for runs that kept control and met all requirements."""
+        """Return a mask (runs,) of runs without a cause of failure that met all requirements."""
         return np.array(self.column("passed").to_pylist(), dtype=bool)
 
     def row(self, run: int) -> dict[str, Any] | None:
-        """Return the complete record of one run."""
+        """Return the complete record of a run, or None if it is not in the data set."""
         for part in parts_in(self.folder):
             if part.first <= run <= part.last:
                 table = read_part(part.path)
@@ -226,20 +224,20 @@ class DataSet:
 
 
 def _numbers(column: Any) -> Array:
-    """Return a column of numbers as an array; null is nan."""
+    """Return a column of numbers as an array (runs,), with nan for null."""
     return np.asarray(column.to_numpy(), dtype=float)
 
 
 def requirements_of(campaign: LoadedCampaign) -> list[tuple[str, RequirementSection | None]]:
-    """Return name and requirement: first that control is kept (None), then those of the scenario."""
+    """Return the names and requirements of a campaign: CONTROL_KEPT with None, then the scenario's requirements."""
     return [(CONTROL_KEPT, None), *((r.name or r.metric, r) for r in campaign.base.scenario.requirement)]
 
 
 def judged(data: DataSet) -> list[Judged]:
     """Return the verdicts on all requirements of the campaign.
 
-    The first is that control is kept. If there are others, the last is that a flight meets all of them. Since it fails
-    at least as often as each of them, it is met only if all are.
+    The first is that on CONTROL_KEPT. If the scenario has requirements, the last is that on ALL_REQUIREMENTS, which
+    fails at least as often as each of the others.
     """
     requirements = requirements_of(data.campaign)
     metrics = [requirement.metric for _, requirement in requirements if requirement]
@@ -249,7 +247,7 @@ def judged(data: DataSet) -> list[Judged]:
 
 
 def _verdict(data: DataSet, missed: np.ndarray) -> tuple[Shown, int | None]:
-    """Return the evidence of the runs in order, and the first of them that missed."""
+    """Return the evidence of the judged runs, and the first of them that missed, from a mask (runs,) of misses."""
     campaign, n = data.campaign.campaign, data.in_order
     at = np.flatnonzero(missed[:n])
     shown = judge_failures(len(at), n, campaign.success, campaign.confidence, data.planned)
@@ -291,7 +289,7 @@ def _judged(data: DataSet, name: str, requirement: RequirementSection | None) ->
 
 
 def lost(data: DataSet, most: int = 1000) -> list[Lost]:
-    """Return the runs without usable metrics or that lost control, in order."""
+    """Return the runs without usable metrics or with a cause of failure, in order, at most `most`."""
     at = np.flatnonzero(~data.kept)[:most]
     if not len(at):
         return []
@@ -300,7 +298,7 @@ def lost(data: DataSet, most: int = 1000) -> list[Lost]:
 
 
 def failed_runs(data: DataSet) -> list[int]:
-    """Return the runs that missed a requirement, lost control or have no usable metrics."""
+    """Return the numbers of runs that missed a requirement, had a cause of failure or have no usable metrics."""
     return [int(run) for run in data.runs[~data.passed]]
 
 
@@ -311,16 +309,16 @@ def redraws(data: DataSet) -> tuple[int, int]:
 
 
 def finer_runs(data: DataSet) -> dict[int, int]:
-    """Return the halvings of the step by run, for the runs that were flown again for their integration errors."""
+    """Return, by run, the number of halvings of the step, for runs flown again because of integration errors."""
     halvings, given = data.numbers("halvings").astype(int), data.campaign.base.scenario.run.halvings
     return {int(data.runs[i]): int(halvings[i]) for i in np.flatnonzero(halvings > given)}
 
 
 def unfounded(data: DataSet) -> list[str]:
-    """Return a phrase for each row whose failure or success does not follow from its other columns.
+    """Return a message for each row whose failure or success does not follow from its other columns.
 
     A run passes if it has no cause of failure and meets all requirements. It has a cause if it lost control, or if its
-    integration errors are too large; the latter at the finest step only.
+    integration errors are too large at the finest step.
     """
     scenario, causes = data.campaign.base.scenario, [str(cause) for cause in data.column("cause").to_pylist()]
     judged = judged_requirements(scenario)
@@ -344,7 +342,7 @@ def unfounded(data: DataSet) -> list[str]:
 
 
 def finer_text(runs: Mapping[int, int]) -> str:
-    """Return the runs of `finer_runs` and their steps in a line, or an empty text without any."""
+    """Return the runs of `finer_runs` and their shares of the step in a line, or an empty string without runs."""
     if not runs:
         return ""
     named = [f"{run} (1/{2**count})" for run, count in list(runs.items())[:_FINER]]
@@ -356,7 +354,7 @@ def finer_text(runs: Mapping[int, int]) -> str:
 def summary_of(
     data: DataSet, verdicts: Sequence[Judged], losses: Sequence[Lost], wanted: int, further: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return the content of summary.json."""
+    """Return the content of summary.json; `wanted` is the number of runs of the campaign, `further` more entries."""
     campaign = data.campaign.campaign
     drawn, in_runs = redraws(data)
     return {
@@ -383,7 +381,10 @@ def summary_of(
 
 
 def selected(data: DataSet, keep: Sequence[str]) -> list[int]:
-    """Return the runs that `keep` names, without repetition: worst:5, worst:5:METRIC, failed, failed:20, or numbers."""
+    """Return the runs that `keep` selects, without repetition.
+
+    Its forms are worst:5, worst:5:METRIC, failed, failed:20, and numbers separated by commas.
+    """
     out: list[int] = []
     for text in keep:
         head, *rest = text.split(":")
@@ -409,7 +410,10 @@ def selected(data: DataSet, keep: Sequence[str]) -> list[int]:
 
 @dataclass(frozen=True)
 class Band:
-    """A channel: `lines` (percentiles, n) over `time_s` (n,), from the `flying` (n,) runs that reach each time."""
+    """The envelope of a channel: its percentiles `lines` (percentiles, n) over `time_s` (n,).
+
+    `flying` (n,) is the number of runs that reach each time.
+    """
 
     channel: str
     runs: int
@@ -420,7 +424,7 @@ class Band:
 
 
 def bands(folder: Path, campaign: LoadedCampaign) -> list[Band]:
-    """Return an envelope for each channel, or nothing if no histories were kept."""
+    """Return the envelope of each channel; empty if no histories were kept."""
     envelope = campaign.campaign.envelope
     files = sorted((folder / HISTORIES).glob("runs-*.parquet"))
     if not files:
@@ -453,7 +457,7 @@ def _lists(file: Path, column: str) -> list[Array]:
 
 @dataclass(frozen=True)
 class Driver:
-    """The influence of an input on a metric. `noise`: bound of |rank| for an input without influence (2 sigma)."""
+    """The influence of an input on a metric. `noise` is the 2-sigma bound of |rank| without an influence."""
 
     name: str
     rank: float
@@ -467,14 +471,14 @@ class Driver:
 
 
 def rank_correlation(x: Array, y: Array) -> float:
-    """Return Spearman's rank correlation, 0 if one of the two does not vary."""
+    """Return Spearman's rank correlation of x and y, both (runs,); 0 if either is constant."""
     from scipy.stats import spearmanr  # noqa: PLC0415  # lazy: a second to import, at a campaign's end only
 
     return float(spearmanr(x, y).statistic) if np.ptp(x) > 0.0 and np.ptp(y) > 0.0 else 0.0
 
 
 def first_order(x: Array, y: Array) -> float:
-    """Return the first-order Sobol' index of x, 0 to 1."""
+    """Return the first-order Sobol' index of the input x for the metric y, both (runs,), from 0 to 1."""
     n, total = len(y), float(np.var(y))
     classes = _classes(x)
     count = np.bincount(classes)
@@ -488,7 +492,7 @@ def first_order(x: Array, y: Array) -> float:
 
 
 def borgonovo(x: Array, y: Array) -> float:
-    """Return Borgonovo's delta of x, 0 to 1."""
+    """Return Borgonovo's delta of the input x for the metric y, both (runs,), from 0 to 1."""
     classes, bins = _classes(x), _classes(y)
     if classes.max(initial=0) < 1 or bins.max(initial=0) < 1:
         return 0.0
@@ -507,7 +511,7 @@ def _distance(classes: IntArray, bins: IntArray) -> float:
 
 
 def _classes(x: Array) -> IntArray:
-    """Return the class of each value, for about n^(1/3) classes of equal size."""
+    """Return the class of each value (n,), for about n^(1/3) classes of equal size."""
     n = len(x)
     count = int(np.clip(round(n ** (1.0 / 3.0)), 2, 40))
     edges = np.quantile(x, np.linspace(0.0, 1.0, count + 1)[1:-1])
@@ -515,12 +519,12 @@ def _classes(x: Array) -> IntArray:
 
 
 def sample_of(data: DataSet) -> DataSet:
-    """Return the runs from which the indices are estimated."""
+    """Return the first runs, at most _MOST_RUNS, from which sensitivities are estimated."""
     return data if len(data.runs) <= _MOST_RUNS else DataSet(data.folder, data.campaign, limit=_MOST_RUNS)
 
 
 def inputs_of(sample: DataSet) -> dict[str, Array]:
-    """Return the numeric inputs of the runs with usable metrics, by name, without constant ones."""
+    """Return, by name, the numeric inputs of the runs with usable metrics, without constant inputs."""
     good = ~sample.void
     out = {}
     names = [n for n, kind in input_types(sample.campaign).items() if n != SEED_KEY and str(kind) != "string"]
@@ -533,7 +537,7 @@ def inputs_of(sample: DataSet) -> dict[str, Array]:
 
 
 def drivers(sample: DataSet, metric: str, inputs: dict[str, Array]) -> list[Driver]:
-    """Return all inputs by their influence on a metric, the strongest first; none with fewer than 30 runs."""
+    """Return all inputs in order of decreasing influence on a metric; empty with fewer than 30 runs."""
     y = sample.numbers(metric)[~sample.void]
     good = np.isfinite(y)
     n = int(good.sum())

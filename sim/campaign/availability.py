@@ -1,4 +1,4 @@
-"""Launch availability: the share of flights that meet all requirements, by the month of their winds."""
+"""The launch availability: the share of flights that meet all requirements, by the month of their winds."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from maxq.sim.campaign.statistics import Shown, failure_lower, failure_upper, ju
 
 @dataclass(frozen=True)
 class Month:
-    """The flights in a month's winds, of which `missed` miss a requirement or lose control.
+    """The flights with the winds of a month, of which `missed` flights miss a requirement or fail.
 
     `least` and `most` bound the availability with the joint `confidence`, each with half of the risk (Clopper &
-    Pearson, Biometrika 26, 1934). They refer to the population of winds of which these are a random sample.
+    Pearson, Biometrika 26, 1934). The winds are regarded as a random sample of the population to which the bounds
+    refer.
     """
 
     month: int
@@ -39,14 +40,17 @@ class Month:
         return 1.0 - self.missed / self.runs
 
     def judged(self, wanted: float, confidence: float, fixed: bool) -> Shown:
-        """Judge whether the availability is at least `wanted`; `fixed`: the number of runs was recorded beforehand."""
+        """Return the verdict on an availability of at least `wanted`.
+
+        `fixed` is True if the number of runs was recorded before the first run.
+        """
         return judge_failures(self.missed, self.runs, wanted, confidence, self.runs if fixed else None)
 
 
 def availability(data: DataSet) -> list[Month]:
-    """Return the availability of each month that has a run among the first runs without a gap.
+    """Return the availability of each month with runs, from the runs before the first gap.
 
-    The result is empty for a campaign without months. Runs whose wind has no date are left out.
+    The result is empty for a campaign without months. Runs whose wind has no date are omitted.
     """
     if MONTH_KEY not in input_types(data.campaign):
         return []
@@ -63,7 +67,7 @@ def availability(data: DataSet) -> list[Month]:
 
 
 def clopper_pearson(successes: int, runs: int, confidence: float) -> tuple[float, float]:
-    """Return both bounds of the probability of success, with the joint `confidence`."""
+    """Return the lower and upper bound of the probability of success with the joint `confidence`; nan without runs."""
     if not runs:
         return math.nan, math.nan
     each = 0.5 * (1.0 + confidence)

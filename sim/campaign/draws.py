@@ -1,17 +1,17 @@
-"""Random numbers of a campaign: each is a function of its place of use, independent of earlier draws.
+"""The random numbers of a campaign, each of which is a function of its place of use, not of earlier draws.
 
-A draw depends on (campaign seed, key path, run index) alone. Adding runs, keys or workers, another order or another
-machine changes no other draw. There are three further dependences:
+A draw depends on campaign seed, key path and run number alone. Additional runs, keys or workers, another order or
+another machine do not change it. There are three further dependences:
 
-- `latin-hypercube` depends on the stratum, the fixed number of runs that share one hypercube. Run i belongs to
+- With `latin-hypercube`, a draw depends on the stratum, the fixed number of runs in a hypercube. Run i belongs to
   hypercube i // stratum for any number of runs, so that a campaign can be extended.
-- `sobol` depends on the position of the key among the dispersed ones, which is its dimension. Further keys at the end
-  change nothing; a key in between shifts those behind it.
-- A rejected draw is replaced by a pseudo-random one (attempt 1, 2, ...) with any sampling.
+- With `sobol`, a draw depends on the position of its key among the dispersed keys, which is its dimension. Keys that
+  are appended change no draw, and an inserted key shifts all later keys.
+- A rejected draw is replaced by a pseudo-random draw (attempt 1, 2, ...) with any sampling.
 
-The bits are those of Philox4x64-10 (Salmon et al., SC11, 2011). Its key is the SHA-256 of seed and key, and its counter
-consists of run, attempt and component. NumPy guarantees the streams of its bit generators. Distributions are given by
-their quantile functions, which convert a uniform number into a draw.
+The bits are those of Philox4x64-10 (Salmon et al., SC11, 2011). Its key is 16 bytes of the SHA-256 of seed and key
+path, and its counter consists of run, attempt and component. NumPy guarantees the streams of its bit generators.
+Quantile functions of the distributions convert uniform numbers into draws.
 """
 
 from __future__ import annotations
@@ -40,25 +40,25 @@ def _philox_key(seed: int, key: str) -> int:
 
 
 def words(seed: int, key: str, first: int, count: int, attempt: int = 0, component: int = 0) -> Words:
-    """Return four random words for each of the runs `first` .. `first + count - 1`: (count, 4)."""
+    """Return four random words (count, 4) for each of the runs `first` to `first + count - 1`."""
     counter = first | attempt << 64 | component << 128
     return np.random.Philox(key=_philox_key(seed, key), counter=counter).random_raw(4 * count).reshape(count, 4)
 
 
 def uniforms(seed: int, key: str, first: int, count: int, attempt: int = 0, component: int = 0) -> Array:
-    """Return numbers in the open interval (0, 1), one for each run, on the centres of 2^52 cells."""
+    """Return uniform numbers (count,) in the open interval (0, 1), at the centres of 2^52 cells."""
     high = words(seed, key, first, count, attempt, component)[:, 0] >> np.uint64(12)
     return np.asarray((high.astype(np.float64) + 0.5) * 2.0 * _CELL)
 
 
 def seeds(seed: int, key: str, first: int, count: int, attempt: int = 0) -> IntArray:
-    """Return whole numbers 0 .. 2^63 - 1, one for each run: seeds of the flights' own noise."""
+    """Return whole numbers (count,) from 0 to 2^63 - 1, the seeds of the noise in each flight."""
     return np.asarray((words(seed, key, first, count, attempt)[:, 1] >> np.uint64(1)).astype(np.int64))
 
 
 @lru_cache(maxsize=512)
 def _permutation(seed: int, key: str, hypercube: int, stratum: int) -> IntArray:
-    """Return a random order of 0 .. stratum - 1 for one hypercube: the ranks of random words."""
+    """Return a random permutation of 0 to stratum - 1 for a hypercube, which consists of the ranks of random words."""
     order = np.argsort(words(seed, f"{key}\0latin", 0, stratum, component=hypercube)[:, 0], kind="stable")
     ranks = np.empty(stratum, np.int64)
     ranks[order] = np.arange(stratum)
@@ -66,9 +66,10 @@ def _permutation(seed: int, key: str, hypercube: int, stratum: int) -> IntArray:
 
 
 def latin(seed: int, key: str, first: int, count: int, stratum: int) -> Array:
-    """Return Latin hypercube numbers in the form of `uniforms`.
+    """Return Latin hypercube numbers (count,) in the open interval (0, 1).
 
-    Each `stratum` runs, from a multiple of it on, fill as many equal cells once each.
+    The runs of a hypercube, `stratum` consecutive runs from a multiple of `stratum` on, are in different cells of the
+    width 1 / `stratum`.
     """
     runs = np.arange(first, first + count)
     cells = np.empty(count, np.int64)
@@ -76,16 +77,16 @@ def latin(seed: int, key: str, first: int, count: int, stratum: int) -> Array:
         inside = runs // stratum == hypercube
         cells[inside] = _permutation(seed, key, hypercube, stratum)[runs[inside] % stratum]
     u = (cells + uniforms(seed, key, first, count)) / stratum
-    return np.asarray(np.minimum(u, 1.0 - _CELL))  # the sum may have been rounded up to the cell's end
+    return np.asarray(np.minimum(u, 1.0 - _CELL))  # the sum may be rounded up to 1
 
 
 class Sobol:
-    """Sobol' points with Owen scrambling, dimension by dimension.
+    """The Sobol' points of consecutive runs with Owen scrambling, separately for each dimension.
 
-    The sequence is that of SciPy (Joe & Kuo's direction numbers). It is scrambled by a hash of the bits above each bit,
-    as in Laine & Karras (Comput. Graph. Forum 30, 2011) with the constants of Burley (J. Comput. Graph. Tech. 9(4),
-    2020). Hence the scrambling of a key depends on (campaign seed, key) alone, whereas SciPy's own depends on all
-    dimensions.
+    The sequence is that of SciPy (direction numbers of Joe & Kuo). Each bit is scrambled by a hash of the more
+    significant bits, as in Laine & Karras (Comput. Graph. Forum 30, 2011), with the constants of Burley (J. Comput.
+    Graph. Tech. 9(4), 2020). The scrambling of a key therefore depends on campaign seed and key alone, unlike SciPy's
+    scrambling, which depends on all dimensions.
     """
 
     def __init__(self, seed: int, keys: tuple[str, ...], first: int, count: int) -> None:
@@ -97,7 +98,7 @@ class Sobol:
         engine: Any = qmc.Sobol(len(keys), scramble=False, bits=_SOBOL_BITS)
         if first:
             engine.fast_forward(first)
-        with warnings.catch_warnings():  # SciPy warns where the number of points is no power of two
+        with warnings.catch_warnings():  # SciPy warns if the number of points is not a power of two
             warnings.simplefilter("ignore", UserWarning)
             self._points = (engine.random(count) * 2.0**_SOBOL_BITS).astype(np.uint32)
 
@@ -115,9 +116,9 @@ def _reversed_bits(x: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 
 def _scrambled(x: NDArray[np.uint32], seed: np.uint32) -> NDArray[np.uint32]:
-    """Return the nested uniform scrambling: a hash of the bits above a bit decides whether it is flipped.
+    """Return nested uniformly scrambled numbers, in which a hash of the more significant bits may flip each bit.
 
-    Products wrap.
+    Products overflow by design.
     """
     x = _reversed_bits(x)
     x = x + seed
@@ -127,10 +128,10 @@ def _scrambled(x: NDArray[np.uint32], seed: np.uint32) -> NDArray[np.uint32]:
 
 
 def quantile(spec: Disperse, u: Array, nominal: float) -> Array:
-    """Return draws of a distribution over numbers. `nominal`: the centre if the file names none.
+    """Return the draws (runs,) of a distribution of numbers for uniform numbers `u` (runs,).
 
-    The formulas are written out. The ppf of scipy.stats rounds differently for the triangular and the truncated normal
-    distribution, is nan for a spread of zero, and takes a second to import.
+    `nominal` is the default centre. The formulas are written out, because scipy.stats takes a second to import. Its ppf
+    also rounds differently for the triangular and the truncated normal distribution, and is nan for a spread of zero.
     """
     centre, sigma, (low, high) = spec.centre(nominal), spec.sigma_of_normal, spec.ends
     if spec.distribution == "normal":
@@ -147,9 +148,10 @@ def quantile(spec: Disperse, u: Array, nominal: float) -> Array:
 
 
 def box(spec: Disperse, nominal: float, sigmas: float = 3.0) -> tuple[float, float]:
-    """Return the least and greatest value of a search.
+    """Return the least and greatest draw of a search.
 
-    They are the distribution's ends, or `sigmas` of a normal one on either side.
+    These are the ends of a uniform or triangular distribution. For the others, they are the quantiles that correspond
+    to `sigmas` of a normal distribution on either side.
     """
     if spec.distribution in ("uniform", "triangular"):
         return spec.ends
@@ -159,7 +161,7 @@ def box(spec: Disperse, nominal: float, sigmas: float = 3.0) -> tuple[float, flo
 
 
 def chosen(spec: Disperse, u: Array) -> IntArray:
-    """Return indices of `values`, with frequencies by their weights."""
+    """Return indices (runs,) of `spec.values` with frequencies proportional to their weights."""
     assert spec.values is not None
     weights = np.array(spec.weights or (1.0,) * len(spec.values), dtype=float)
     edges = np.cumsum(weights / weights.sum())
@@ -167,9 +169,10 @@ def chosen(spec: Disperse, u: Array) -> IntArray:
 
 
 def correlated(matrix: tuple[tuple[float, ...], ...], scores: list[Array]) -> list[Array]:
-    """Return zero-mean normal draws with a covariance from independent scores, one array for each key.
+    """Return zero-mean normal draws, an array (runs,) for each key, with the covariance `matrix`.
 
-    Draw j depends on the scores of keys 0 .. j. Sums are written out, so that they do not depend on the processor.
+    `scores` are independent standard normal numbers of the same shapes. Draw j depends on the scores of keys 0 to j.
+    Sums are written out, so that they do not depend on the processor.
     """
     factor = cholesky(np.array(matrix))
     nothing = np.zeros_like(scores[0])
@@ -177,7 +180,7 @@ def correlated(matrix: tuple[tuple[float, ...], ...], scores: list[Array]) -> li
 
 
 def cholesky(matrix: Array) -> Array:
-    """Return the lower factor of a covariance, which may be singular."""
+    """Return the lower Cholesky factor of a covariance matrix, which may be singular."""
     n = len(matrix)
     factor = np.zeros((n, n))
     for j in range(n):
@@ -190,9 +193,9 @@ def cholesky(matrix: Array) -> Array:
 
 
 def _truncated(mean: float, sigma: float, low: float, high: float, u: Array) -> Array:
-    """Return draws of a normal distribution between `low` and `high`.
+    """Return draws (runs,) of a normal distribution truncated to `low` and `high`.
 
-    They are computed in the lower tail, where probabilities keep their digits.
+    They are computed in the lower tail, where probabilities have full precision.
     """
     if sigma == 0.0:
         return np.clip(np.full_like(u, mean), low, high)

@@ -4,4 +4,4 @@ from __future__ import annotations
 
 
 class CampaignError(Exception):
-    """A one-line error in a campaign's folder, draws or data, with the next step."""
+    """The error of a campaign's folder, draws or data, with a one-line message."""

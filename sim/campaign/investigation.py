@@ -1,4 +1,4 @@
-"""Investigation of a campaign: fly one run again, reduce a failure to its causes, search for the worst flight."""
+"""The investigation of a campaign: repetition of a run, reduction of a failure, search for the worst flight."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _SEED = 1  # seed of the search
 
 @dataclass(frozen=True)
 class Reflown:
-    """A repeated flight and its comparison with the data set; `same` is None if there is nothing to compare."""
+    """A repeated flight and its comparison with the data set; `same` is None if no comparison is possible."""
 
     flight: Flight
     folder: Path
@@ -55,10 +55,11 @@ def refly(
     watch: Callable[[FlightRun], None] | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Reflown:
-    """Fly run `run` of the campaign in `folder` again with a full log, and compare it with the data set bit by bit.
+    """Fly run `run` of the campaign in `folder` again, and compare it with the data set bit by bit.
 
-    `out`: folder of the flight (default: DIR/flights/run-000417). Raises CampaignError if the draws make no possible
-    scenario, LogError if a file cannot be written.
+    `out` is the folder of the flight (default: DIR/flights/run-000417 for run 417). `log`, `watch` and `stop` are those
+    of `sim.run.record.record`. Raises CampaignError if the draws give no valid scenario, and LogError if a file cannot
+    be written.
     """
     campaign = campaign or campaign_in(folder)
     if run < 0:
@@ -82,7 +83,7 @@ def refly(
 
 
 def differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Return the columns that are not equal bit by bit, in words."""
+    """Return a description of each column that is not equal bit by bit."""
 
     def bits(value: Any) -> Any:
         if not isinstance(value, float):
@@ -97,9 +98,10 @@ def differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 @dataclass(frozen=True)
 class Shrunk:
-    """A reduced failure.
+    """A failure reduced to the inputs that cause it.
 
-    The fields are its remaining inputs by name, the scenario with only these, its flight, and the flights flown.
+    `inputs` are the names of the remaining inputs, `scenario` disperses only these, and `flights` is the number of
+    flights of the reduction.
     """
 
     failure: str
@@ -110,10 +112,7 @@ class Shrunk:
 
 
 def failures_of(flight: Flight) -> list[str]:
-    """Return the reasons for which a flight fails.
-
-    These are its outcome if it has no usable metrics, loss of control, and missed requirements.
-    """
+    """Return the failures of a flight: an outcome without usable metrics, loss of control, missed requirements."""
     found = [flight.outcome] if flight.outcome in VOID else []
     found += ["control lost"] if any(e.name == "control_lost" for e in flight.events) else []
     return found + [v.name for v in flight.verdicts if not v.met]
@@ -126,12 +125,12 @@ def shrink_run(
     workers: int = 1,
     watch: Callable[[int, int], None] = lambda left, flights: None,
 ) -> Shrunk | None:
-    """Return the smallest set of inputs of `run` that still causes `failure` (default: its first failure).
+    """Return a minimal set of inputs of `run` that still causes `failure` (default: its first failure).
 
     Method: delta debugging (Zeller & Hildebrandt, IEEE TSE 28, 2002), with all other inputs at their nominal values.
-    The result is minimal in the sense that returning any single remaining input to nominal removes the failure. Another
-    set of the same size may exist. The result is None if the run does not have this failure. `watch` gets the inputs
-    left and the flights flown. Raises Refused.
+    The set is minimal in the sense that the failure disappears if any single remaining input returns to nominal; a
+    smaller set may exist. The result is None if the run does not have this failure. `watch` is called with the numbers
+    of remaining inputs and of flights. Raises Refused.
     """
     drawn = campaign.plan.draw(run, 1)
     found = failures_of(fly_scenario(campaign.scenario_of(run)))
@@ -144,7 +143,7 @@ def shrink_run(
         flown[0] += 1
         try:
             flight = fly_scenario(campaign.mixed(drawn, run, kept))
-        except Refused:  # these values exclude each other
+        except Refused:  # these values are incompatible
             return False
         return wanted in failures_of(flight)
 
@@ -160,9 +159,10 @@ def _minimal(
     pool: ThreadPoolExecutor,
     watch: Callable[[list[str]], None],
 ) -> list[str]:
-    """Reduce a failing set (ddmin): try parts, then the remainder without each part, with increasingly fine divisions.
+    """Return a minimal failing subset of `names` (ddmin).
 
-    The result does not depend on the threads: the first failing trial of a round, in order, is taken.
+    Each part of a division is tried, then the remainder without each part, with increasingly fine divisions. The result
+    does not depend on the threads, because the first failing trial of a round, in order, is chosen.
     """
     if fails([]):
         return []  # it fails without any dispersion
@@ -189,7 +189,7 @@ def _minimal(
 
 @dataclass(frozen=True)
 class WorstFlight:
-    """The worst flight of a search; `draws` by input name, `flights` flown."""
+    """The worst flight of a search, with its draws by input name, and the number of flights of the search."""
 
     metric: str
     value: float
@@ -210,13 +210,13 @@ def search_worst(
     watch: Callable[[float, int], None] = lambda best, flown: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> WorstFlight:
-    """Search about `flights` flights within the 3-sigma box for the largest (or smallest) value of `metric`.
+    """Search for the largest (or smallest) value of `metric` in the 3-sigma box, with about `flights` flights.
 
-    The search uses SciPy's differential_evolution (Storn & Price, J. Global Optimization 11, 1997), generation by
-    generation. All flights of a generation run in parallel, and the result does not depend on the threads. The
-    variables are the numbers of [[disperse]]. `start`: the run whose wind and noise are flown instead of the nominal
-    ones, and whose draws, cut to the box, begin the search. A flight without usable metrics counts as infinitely bad.
-    Raises CampaignError if there is nothing to search.
+    The search uses SciPy's differential_evolution (Storn & Price, J. Global Optimization 11, 1997). All flights of a
+    generation run in parallel, and the result does not depend on the threads. The variables are the numeric draws of
+    [[disperse]]. If a run `start` is given, its wind and noise replace the nominal wind and noise, and its draws,
+    limited to the box, are in the first generation. A flight without usable metrics is regarded as infinitely bad.
+    `watch` is called with the worst value and the number of flights. Raises CampaignError if there are no variables.
     """
     from scipy.optimize import differential_evolution  # noqa: PLC0415  # lazy: half a second, for the search only
 
@@ -280,7 +280,7 @@ def search_worst(
 
 
 def _first(bounds: Array, population: int) -> Array:
-    """Return the first generation, a Latin hypercube over the box."""
+    """Return the first generation (population, variables), a Latin hypercube in `bounds` (variables, 2)."""
     rng = np.random.default_rng(_SEED)
     cells = np.stack([rng.permutation(population) for _ in bounds], axis=1)
     u = (cells + rng.random(cells.shape)) / population

@@ -1,9 +1,9 @@
 """The draws of each run of a campaign, as a function of seed, run and key alone (draws.py).
 
-In the vector-wind model the two components at each altitude deviate from the mean by a bivariate normal distribution,
-with standard deviations and correlation from a table. The standardised deviations of two altitudes are correlated by
-exp(-|difference| / correlation length). This is the form of Adelfang's vector wind profile model (NASA/CR-1999-209759)
-with an analytic correlation in place of its tables of monthly statistics.
+In the vector-wind model, the deviations of the two components from the mean at each altitude have a bivariate normal
+distribution, with standard deviations and correlation from a table. The correlation of the standardised deviations at
+two altitudes is exp(-|difference| / correlation length). This is the form of Adelfang's vector wind profile model
+(NASA/CR-1999-209759), with an analytic correlation instead of its tables of monthly statistics.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from maxq.sim.world.wind import wind_components
 
 SEED_KEY, WIND_KEY, MONTH_KEY, DATE_KEY = "run.seed", "wind.profile", "wind.month", "wind.date"
 MOST_ATTEMPTS = 1000
-_INSIDE = 1e-300, 1.0 - 1e-16  # limits within (0, 1), for a distribution's quantiles
+_INSIDE = 1e-300, 1.0 - 1e-16  # limits inside (0, 1) for quantile functions
 
 
 @dataclass(frozen=True)
 class Draw:
-    """A random number of a run, and the places of the scenario to which it goes."""
+    """A random number of a run, and the places of the scenario that it changes."""
 
     name: str  # name of the column in the data set: the key path, or the first of several
     label: str
     entry: int  # index in [[disperse]]
     spec: Disperse
     targets: tuple[Target, ...]
-    group: tuple[int, int] | None = None  # (entry, position) where it is correlated with others of the entry
+    group: tuple[int, int] | None = None  # (entry, position) if the draws of the entry have a covariance
     samples: Array | None = None
-    tables: tuple[CsvTable, ...] = ()  # choice among files
+    tables: tuple[CsvTable, ...] = ()  # the tables of a choice among files
 
     @property
     def nominal(self) -> float:
@@ -56,18 +56,18 @@ class Draw:
 
     @property
     def stream(self) -> str:
-        """Return the name of its random numbers: cases draw a row, the same for all columns."""
+        """Return the name of its random numbers, which is common to all columns of a file of cases."""
         return f"cases\0{self.entry}" if self.spec.distribution == "cases" else self.name
 
     def results(self, values: np.ndarray) -> list[Array]:
-        """Return the results of draws at each target, none for texts and tables."""
+        """Return, for each target, the results (runs,) of draws `values` (runs,); empty for texts and tables."""
         if self.is_text:
             return []
         values = values if self.spec.power is None else np.power(values, self.spec.power)
         return [target.result(self.spec.apply, values) for target in self.targets]
 
     def allowed(self, results: list[Array]) -> np.ndarray:
-        """Return True where the bounds of all targets hold, and those of the draw."""
+        """Return a mask (runs,) of results within the bounds of all targets and of the draw."""
         low = -np.inf if self.spec.at_least is None else self.spec.at_least
         high = np.inf if self.spec.at_most is None else self.spec.at_most
         targets = zip(self.targets, results, strict=False)
@@ -77,20 +77,20 @@ class Draw:
 
 @dataclass
 class Drawn:
-    """The draws of consecutive runs; `flown` and `recorded` hold Python numbers, texts and tables."""
+    """The draws of consecutive runs. `flown` and `recorded` contain Python numbers, texts and tables."""
 
     first: int
     redraws: np.ndarray
     seeds: np.ndarray | None = None
     wind: np.ndarray | None = None
-    draws: dict[str, np.ndarray] = field(default_factory=dict)  # by name; for texts and tables the index
+    draws: dict[str, np.ndarray] = field(default_factory=dict)  # by name; the index for texts and tables
     flown: dict[tuple[str, int], list[Any]] = field(default_factory=dict)  # values in the scenario, by name and target
-    recorded: dict[str, list[Any]] = field(default_factory=dict)  # values in the data set, by column; without the wind
+    recorded: dict[str, list[Any]] = field(default_factory=dict)  # values in the data set by column, without the wind
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The rules for the draws of a run. Draws do not depend on an order: see draws.py."""
+    """The rules for the draws of a run, which do not depend on the order of runs (draws.py)."""
 
     campaign: Campaign
     draws: tuple[Draw, ...]
@@ -101,9 +101,9 @@ class Plan:
         return self.campaign.noise == "each-run"
 
     def draw(self, first: int, count: int, attempt: int = 0) -> Drawn:
-        """Return the draws of `count` runs from `first` on; single values outside their bounds are drawn again.
+        """Return the draws of `count` runs from `first` on. A value outside its bounds is drawn again.
 
-        Raises CampaignError if the file rejects such a draw, or if no draw is ever allowed.
+        Raises CampaignError if the campaign does not allow further draws, or if MOST_ATTEMPTS draws are not sufficient.
         """
         seed = self.campaign.seed
         use_sobol = self.campaign.sampling == "sobol" and attempt == 0 and bool(self.draws)
@@ -121,7 +121,7 @@ class Plan:
 
     @cached_property
     def pairs(self) -> list[tuple[str, str, float]]:
-        """Return the names of the draws of each correlated pair, and its coefficient, if both are among `draws`."""
+        """Return the names of both draws and the coefficient of each correlated pair with both draws in `draws`."""
         found = []
         for pair in self.campaign.correlated:
             i, j = ([d.name for d in self.draws if name in (d.name, d.label)] for name in pair.of)
@@ -131,7 +131,7 @@ class Plan:
 
     @cached_property
     def correlation(self) -> tuple[list[str], Array]:
-        """Return the names of the correlated draws, and the matrix of their coefficients."""
+        """Return the names of the correlated draws, and the matrix (draws, draws) of their coefficients."""
         names = list(dict.fromkeys(name for i, j, _ in self.pairs for name in (i, j)))
         matrix = np.eye(len(names))
         for i, j, coefficient in self.pairs:
@@ -141,16 +141,15 @@ class Plan:
 
     @cached_property
     def _root(self) -> Array:
-        """Return the symmetric root of `correlation`.
+        """Return the symmetric square root of the matrix `correlation`, which maps independent to correlated scores.
 
-        It maps a sphere of independent scores to a set of equally likely correlated scores. The root is rounded, so
-        that draws do not depend on the processor that decomposes the matrix.
+        The root is rounded, so that draws do not depend on the processor that decomposes the matrix.
         """
         sizes, vectors = np.linalg.eigh(self.correlation[1])
         return np.asarray(np.round((vectors * np.sqrt(np.maximum(sizes, 0.0))) @ vectors.T, 12))
 
     def _together(self, raw: dict[str, Array]) -> dict[str, Array]:
-        """Return uniform numbers by draw with those of correlated draws mixed, from independent ones."""
+        """Return the uniform numbers (runs,) of all draws, by name, after correlation of the independent `raw`."""
         if not self.pairs:
             return raw
         names = self.correlation[0]
@@ -160,7 +159,7 @@ class Plan:
 
     @cached_property
     def score_names(self) -> list[str]:
-        """Return the names of a run's standard normal numbers: its draws and its wind, without its noise."""
+        """Return the names of a run's standard normal numbers, which give its draws and its wind but not its noise."""
         return self._streams + [f"{WIND_KEY} {k + 1}" for k in range(self.wind.size if self.wind is not None else 0)]
 
     @cached_property
@@ -168,10 +167,10 @@ class Plan:
         return list(dict.fromkeys(d.stream for d in self.draws))
 
     def of_scores(self, z: Array, noise: np.ndarray) -> tuple[Drawn, np.ndarray]:
-        """Return runs 0, 1, ... from standard normal numbers (runs, scores) and seeds, and their validity.
+        """Return the draws of runs 0, 1, ... from standard normal numbers `z` (runs, scores) and seeds `noise` (runs,).
 
-        The second result is True for runs within all bounds. Samples, cases and profiles that are otherwise taken in
-        turn are taken at random here.
+        The second result is a mask (runs,) of runs within all bounds. Samples, cases and profiles are chosen at random
+        here, even if their order is "in-turn".
         """
         good, groups = np.ones(len(z), bool), dict[int, list[Array]]()
         u = dict(zip(self._streams, np.clip(ndtr(z.T), *_INSIDE), strict=False))
@@ -188,7 +187,7 @@ class Plan:
         return drawn, good
 
     def _enter(self, drawn: Drawn, d: Draw, values: np.ndarray, results: list[Array]) -> None:
-        """Enter draws, and their results at each target."""
+        """Write the draws of `d` and their results at each target into `drawn`."""
         drawn.draws[d.name] = values
         lists: list[list[Any]] = [result.tolist() for result in results]
         if d.is_text:
@@ -212,9 +211,9 @@ class Plan:
         return uniforms(self.campaign.seed, d.stream, first, count, attempt)
 
     def _values(self, d: Draw, first: int, raw: Mapping[str, Array], groups: dict[int, list[Array]]) -> np.ndarray:
-        """Return the values of consecutive runs from uniform numbers by name.
+        """Return the draws (runs,) of `d` for consecutive runs from the uniform numbers `raw`, by name.
 
-        `groups`: cache of correlated values by entry.
+        `groups` is a cache of the values of entries with a covariance.
         """
         spec, u = d.spec, raw[d.name]
         if d.group is not None:
@@ -232,7 +231,7 @@ class Plan:
         return quantile(spec, u, d.nominal)
 
     def _within_bounds(self, d: Draw, values: np.ndarray, drawn: Drawn, attempt: int) -> list[Array]:
-        """Return the value at each target; values outside their bounds are drawn again, in place."""
+        """Return the results (runs,) at each target; values outside their bounds are drawn again, in place."""
         results = d.results(values)
         good = d.allowed(results)
         if good.all():
@@ -262,7 +261,7 @@ class Plan:
         return results
 
     def _single(self, d: Draw, run: int, attempt: int) -> np.ndarray:
-        """Repeat one draw; for a member of a correlated group, with new scores for the whole group."""
+        """Return a repeated draw (1,), with new scores for all draws that are correlated with it."""
         group = [other for other in self.draws if other.entry == d.entry] if d.group is not None else [d]
         together = d.name in self.correlation[0]
         group = [other for other in self.draws if other.name in self.correlation[0]] if together else group
@@ -283,33 +282,33 @@ def _bounds_text(d: Draw) -> str:
 
 
 def _rows(order: str, available: int, u: Array, first: int = 0) -> np.ndarray:
-    """Return rows or profiles: i for run i, starting again after the last, or at random."""
+    """Return the indices (runs,) of rows or profiles, at random, or for "in-turn" consecutive and cyclic."""
     if order == "in-turn":
         return np.arange(first, first + len(u)) % available
     return np.minimum((u * available).astype(np.int64), available - 1)
 
 
 class Ensemble:
-    """The wind from given profiles."""
+    """The wind model that chooses among given profiles."""
 
     def __init__(self, model: WindModel) -> None:
         self._profiles, self._order, self.size = model.profiles or (), model.order, 1
 
     def of_scores(self, z: Array) -> np.ndarray:
-        """Return the `scores` that correspond to standard normal numbers, (runs, size)."""
+        """Return the scores for standard normal numbers `z` (runs, size)."""
         return _rows("random", len(self._profiles), ndtr(z[:, 0]))[:, None]
 
     def scores(self, seed: int, first: int, count: int, attempt: int = 0) -> np.ndarray:
-        """Return (count, 1): numbers of the profiles."""
+        """Return the indices (count, 1) of the profiles of consecutive runs."""
         u = uniforms(seed, WIND_KEY, first, count, attempt)
         return _rows(self._order, len(self._profiles), u, first)[:, None]
 
     def profile(self, scores: np.ndarray) -> CsvTable:
-        """Return the profile that follows from the scores of a run."""
+        """Return the wind profile for the scores of a run."""
         return self._profiles[int(scores[0])]
 
     def recorded(self, scores: np.ndarray) -> dict[str, Any]:
-        """Return the columns that the data set holds for the scores of a run."""
+        """Return the values in the data set, by column, for the scores of a run."""
         one = self._profiles[int(scores[0])]
         out: dict[str, Any] = {WIND_KEY: one.file or str(int(scores[0]))}
         if any(profile.date for profile in self._profiles):
@@ -318,7 +317,7 @@ class Ensemble:
 
 
 class VectorWind:
-    """Correlated normal deviations from a mean profile; its methods are those of `Ensemble`."""
+    """The wind model of correlated normal deviations from a mean profile, with the methods of `Ensemble`."""
 
     def __init__(self, model: WindModel, mean: CsvTable) -> None:
         assert model.table is not None
@@ -340,12 +339,12 @@ class VectorWind:
         self.size = 2 * len(self._altitude_m) + (model.months is not None)
 
     def scores(self, seed: int, first: int, count: int, attempt: int = 0) -> np.ndarray:
-        """Return (count, altitudes, 2): deviations north and east, m/s.
+        """Return the deviations north and east (count, altitudes, 2), m/s, of consecutive runs.
 
-        With months there is one more row, that of the month.
+        With months, a further row contains the index of the month, twice.
         """
         parts = [uniforms(seed, WIND_KEY, first, count, attempt, component=k) for k in range(self.size)]
-        if self._months is not None:  # in turn: the same number of runs of each
+        if self._months is not None:  # in turn, so that all months have the same number of runs
             parts[-1] = (np.arange(first, first + count) % len(self._months) + 0.5) / len(self._months)
         return self.of_scores(ndtri(np.array(parts)).T)
 

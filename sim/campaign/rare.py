@@ -1,20 +1,20 @@
-"""Rare failures: the probability that a flight misses a requirement, by subset simulation.
+"""The probability that a flight misses a requirement, for rare failures, by subset simulation.
 
-P(fail) is a product of conditional probabilities of about a tenth each, of levels that the metric exceeds on its way to
-the limit (Au & Beck, Probab. Eng. Mech. 16, 2001). Flights beyond a level are drawn by Markov chains that begin at
-those already there, in the space of the standard normal numbers that make up a run:
+The probability is a product of conditional probabilities of about 0.1, one for each of several levels of the metric
+between its usual values and the limit (Au & Beck, Probab. Eng. Mech. 16, 2001). Flights beyond a level are drawn by
+Markov chains from the flights that are already beyond it, in the space of a run's standard normal numbers z:
 
-    z' = sqrt(1 - s^2) z + s xi,        kept where its flight lies beyond the level,
+    z' = sqrt(1 - s^2) z + s xi,        accepted if its flight is beyond the level,
 
-with s so that 44 % are (Papaioannou et al., Probab. Eng. Mech. 41, 2015). A run's noise is a number of its own: with
-probability s it is another one. Populations are independent of each other, so that the spread of their estimates
-contains the correlation of chains and of levels. The bounds are Student's, on the logarithm, at half of the stated
-risk, because the estimates are skewed. docs/verdicts.md states how often they cover on closed forms. Neither estimate
-nor bounds contain a failure mode that no chain reaches.
+with a step size s for which 44 % are accepted (Papaioannou et al., Probab. Eng. Mech. 41, 2015). The seed of a run's
+noise is replaced with probability s. Populations are independent, so that the spread of their estimates includes the
+correlation of chains and of levels. The bounds are those of Student's distribution for the logarithm of the
+probability, at half of the stated risk because the estimates are skewed. Their coverage for closed forms is given in
+docs/verdicts.md. Estimate and bounds do not include a failure mode that no chain reaches.
 
-No bound is given where the chains cannot show one: if a population is stuck at a value that no flight exceeds, or if
-the noise decides. A seed has no neighbours. If a flight near the limit hardly ever stays there with another seed, the
-chains keep the few seeds with which they began, and the estimate is too low.
+No bounds are given in two cases: if a population reaches a value that no flight exceeds, or if the noise determines the
+failure. There is no distance between seeds. If a flight near the limit rarely remains there with another seed, the
+chains keep their few initial seeds, and the estimate is too low.
 """
 
 from __future__ import annotations
@@ -35,25 +35,31 @@ from maxq.sim.campaign.schema import Envelope
 from maxq.sim.campaign.statistics import MET, NOT_MET, OPEN, Judgement
 
 POPULATIONS = 5
-LEVEL = 0.1  # conditional probability
-FEWEST = 200  # points a level: with fewer the intervals cover too seldom
+LEVEL = 0.1  # conditional probability of a level
+FEWEST = 200  # least number of points of a level; with fewer points, the coverage of the bounds is too low
 _MOST_LEVELS = 12
 _ACCEPTED = 0.44
 _FEWEST_AT_ONCE = 8
-_FRESH_NOISE = 0.05  # least share of flights that stay beyond the last level with other noise (docs/verdicts.md)
-SHARE_OF_FLIGHTS = 1.0 / (POPULATIONS * 4.6)  # of all flights that a population of four further levels takes a level
+_FRESH_NOISE = 0.05  # least share of flights that remain beyond the last level with other noise (docs/verdicts.md)
+SHARE_OF_FLIGHTS = 1.0 / (POPULATIONS * 4.6)  # points of a level / all flights, for populations with four levels
 
 Value = Callable[[Array, IntArray], Array]
-"""How far beyond its limit each point is, (points,): above 0 it fails, nan where no such point is possible. Of standard
-normal numbers (points, scores) and noise (points,)."""
+"""A function that returns the excess of each point beyond the limit, (points,).
+
+Its arguments are standard normal numbers (points, scores) and seeds of noise (points,). The result is above 0 for a
+failure, and nan for a point outside the bounds of the draws or without a valid scenario.
+"""
 
 
 @dataclass(frozen=True)
 class Population:
-    """An estimate; `levels` passed, in units of the value. `stuck`: no value exceeded the last of them.
+    """The estimate of a population.
 
-    `fresh_noise`: share of flights with other noise, and maybe other numbers, that stayed beyond the last level; 1
-    without levels. `nearest`: the failing flight nearest to the centre of the distribution, numbers and noise.
+    - `levels`: levels passed, in the unit of the value.
+    - `stuck`: True if no value exceeded the last level, or if there were too many levels.
+    - `fresh_noise`: share of the flights with replaced noise, with or without other numbers, that remained beyond the
+      last level; 1 without levels.
+    - `nearest`: standard normal numbers and noise of the failing flight nearest to the centre of the distribution.
     """
 
     probability: float
@@ -66,10 +72,10 @@ class Population:
 
 @dataclass(frozen=True)
 class Rare:
-    """Probability of failure, its bounds (each with the confidence asked for), and the populations behind it.
+    """The probability of failure, its bounds, each with the required confidence, and the populations `each`.
 
-    `undecided`: the reason for which no bounds are known, `low` 0 and `high` 1; empty otherwise. `crude`: flights with
-    which plain sampling would have the same standard error.
+    `undecided` is the reason for missing bounds (`low` is then 0 and `high` 1), or empty. `crude` is the number of
+    flights for which direct sampling would have the same standard error.
     """
 
     probability: float
@@ -101,7 +107,11 @@ def subset_simulation(
     seed: int = 1,
     watch: Callable[[int, int, int], None] = lambda number, level, flights: None,
 ) -> Rare:
-    """P(value > 0) of independent standard normal numbers and noise; `population` points a level."""
+    """Return the probability of `value` > 0 for independent standard normal numbers and noise.
+
+    `scores` is the number of normal numbers, and `population` the number of points of a level. `watch` is called with
+    the numbers of the population, of its levels, and of all flights.
+    """
     each = list[Population]()
     for number in range(POPULATIONS):
         flown = sum(one.flights for one in each)
@@ -187,10 +197,10 @@ def rare_failure(
     watch: Callable[[int, int, int], None] = lambda number, level, flights: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Rare:
-    """Probability that a flight's metric lies beyond its limit, with about `flights` of them.
+    """Return the probability that the metric of a flight is beyond its limit, from about `flights` flights.
 
-    What is drawn is what the campaign draws, from its seed: [[disperse]], wind and noise. A flight without usable
-    metrics misses every limit. Raises KeyboardInterrupt where `stop` says so.
+    The draws are those of the campaign, from its seed: [[disperse]], wind and noise. A flight without usable metrics
+    misses every limit. `watch` is that of `subset_simulation`. Raises KeyboardInterrupt if `stop` returns True.
     """
     flown = campaign.with_campaign(envelope=Envelope(runs=0))
     sign = 1.0 if largest else -1.0

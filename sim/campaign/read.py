@@ -1,10 +1,10 @@
-"""Campaigns ready to fly: read from a file and checked against the scenario; the scenario of each run.
+"""The reader of campaigns, which checks them against their scenario and gives the scenario of each run.
 
     campaign = load_campaign("campaigns/ksr3")
-    campaign.inputs(417).recorded                       # what was drawn, by column
-    campaign.scenario_of(417).scenario                  # what is flown
+    campaign.inputs(417).recorded                       # the draws, by column
+    campaign.scenario_of(417).scenario                  # the scenario of the run
 
-Each dispersed value must be in the scenario, be dispersed once, and satisfy its bounds.
+Each dispersed value must exist in the scenario, be dispersed once, and satisfy its bounds.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from maxq.sim.scenario.schema_scenario import Scenario
 DrawPlace = tuple[str, int]
 """The name of a draw, and the number of its target."""
 ACCURACY = 0.05
-"""The run.accuracy of campaigns that give neither it nor a step (docs/performance.md)."""
+"""The run.accuracy of campaigns that give neither run.accuracy nor run.step_s (docs/performance.md)."""
 _PLAUSIBLE_SIGMAS = 3.0
-_JOINT = 1 << 20  # attempts of a run whose values exclude each other begin here, apart from those of single keys
+_JOINT = 1 << 20  # first attempt of a whole run with incompatible values, distinct from the attempts of single keys
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """The recorded draws of one run, and the scenario that follows from them."""
+    """The recorded draws of a run, and the scenario that follows from them."""
 
     run: int
     recorded: dict[str, Any]  # by column: number or text
@@ -72,7 +72,7 @@ class LoadedCampaign:
         return f"<LoadedCampaign {self.name} ({self.base.label}): {self.campaign.runs} runs>"
 
     def with_campaign(self, **changes: Any) -> LoadedCampaign:
-        """Return the campaign with other values in [campaign]: runs, seed, keep. The stratum is unchanged."""
+        """Return the campaign with other values in [campaign], such as runs, seed or keep, but the same stratum."""
         before = self.campaign
         if before.sampling == "latin-hypercube" and before.stratum is None and "stratum" not in changes:
             changes["stratum"] = max(before.runs, 1)
@@ -81,10 +81,10 @@ class LoadedCampaign:
         return LoadedCampaign(self.base, file, Plan(campaign, self.plan.draws, self.plan.wind))
 
     def inputs(self, run: int, drawn: Drawn | None = None) -> Inputs:
-        """Return draws and scenario of one run, from a batch if one is given. Threads may call it in parallel.
+        """Return the draws and the scenario of a run, from the batch `drawn` if it is given.
 
-        A run whose values exclude each other is drawn again as a whole. Raises CampaignError if the file rejects such a
-        run, Refused if repeated draws do not help.
+        A run with incompatible values is drawn again as a whole. Raises CampaignError if the campaign does not allow
+        this, and Refused if repeated draws do not help. Threads may call this method in parallel.
         """
         redraws = 0
         drawn = drawn or self.plan.draw(run, 1)
@@ -106,20 +106,20 @@ class LoadedCampaign:
         return Inputs(run, recorded, int(drawn.redraws[at]) + redraws, loaded)
 
     def scenario_of(self, run: int) -> LoadedScenario:
-        """Return the scenario that run `run` flies."""
+        """Return the scenario of run `run`."""
         return self.inputs(run).loaded
 
     def mixed(self, drawn: Drawn, run: int, kept: Iterable[str] | None = None) -> LoadedScenario:
-        """Return the scenario of a run, or if given with only the inputs `kept` dispersed and all others nominal.
+        """Return the scenario of a run from the batch `drawn`. Raises Refused.
 
-        Raises Refused.
+        If `kept` is given, only these inputs are dispersed, and all others are nominal.
         """
         return self._loaded(self.values_of(drawn, run, kept))
 
     def changed(self, draws: Mapping[str, float], further: Mapping[DrawPlace, Any] | None = None) -> LoadedScenario:
-        """Return the scenario with these draws, by name, and all other values nominal. Raises Refused.
+        """Return the scenario with the draws `draws`, by name, and all other values nominal. Raises Refused.
 
-        `further`: values of a run from `values_of`.
+        `further` contains further values of a run, from `values_of`.
         """
         values: dict[DrawPlace, Any] = dict(further or {})
         for d in self.plan.draws:
@@ -129,9 +129,9 @@ class LoadedCampaign:
         return self._loaded(values)
 
     def values_of(self, drawn: Drawn, run: int, names: Iterable[str] | None) -> dict[DrawPlace, Any]:
-        """Return the values that run `run` flies for the inputs `names` (None: all), as `changed` requires them.
+        """Return the values of the inputs `names` (None: all) in run `run`, for the argument `further` of `changed`.
 
-        The wind and the seed of the noise are inputs, too.
+        The inputs include the wind and the seed of the noise.
         """
         at = run - drawn.first
         values = {place: values[at] for place, values in drawn.flown.items()}
@@ -159,11 +159,11 @@ class LoadedCampaign:
 
     @cached_property
     def input_names(self) -> tuple[str, ...]:
-        """Return the names of all inputs drawn for a run, as used by `mixed`."""
+        """Return the names of all inputs that are drawn for a run."""
         return (*(d.name for d in self.plan.draws), *self._extra)
 
     def boxes(self, sigmas: float = 3.0) -> dict[str, tuple[float, float]]:
-        """Return the least and greatest draw of every numeric input, the range of a search."""
+        """Return the least and greatest draw of each input with a distribution of numbers, by name, for a search."""
         out = {}
         for d in self.plan.draws:
             if d.is_text or d.spec.distribution in ("choice", "samples", "cases"):
@@ -178,7 +178,7 @@ class LoadedCampaign:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """Return a line for each implausible value of the scenario and the dispersions."""
+        """Return a line for each implausible value of the scenario, and for each draw that may change a sign."""
         boxes, found = self.boxes(_PLAUSIBLE_SIGMAS), []
         for d in self.plan.draws:
             if d.name not in boxes or d.targets[0].is_angle:
@@ -198,7 +198,7 @@ class LoadedCampaign:
 
 
 def load_campaign(path: str | Path, overrides: Iterable[str] = ()) -> LoadedCampaign:
-    """Return the campaign in a file, or the built-in one of that name, with `key=value` overrides.
+    """Return the campaign in a file, or the built-in campaign of that name, with `key=value` overrides.
 
     Raises ScenarioError.
     """
@@ -219,13 +219,13 @@ def load_campaign(path: str | Path, overrides: Iterable[str] = ()) -> LoadedCamp
 
 
 def description_of(campaign: LoadedCampaign) -> dict[str, Any]:
-    """Return a campaign as JSON, files included, from which `campaign_from` makes the same campaign."""
+    """Return a campaign, including its files, as a JSON object, from which `campaign_from` makes the same campaign."""
     tables = {d.name: told(d.tables) for d in campaign.plan.draws if d.tables}
     return {"scenario": campaign.base.as_flown, "wind_model": None, **told(campaign.file), "tables": tables}
 
 
 def campaign_from(description: Mapping[str, Any], label: str = "campaign") -> LoadedCampaign:
-    """Return the campaign of a description. Raises ScenarioError or ValidationError if the description is corrupt."""
+    """Return the campaign in a description. Raises ScenarioError or ValidationError if the description is corrupt."""
     loaded = load_scenario_text(description["scenario"], (), label)
     parts = {name: description[name] for name in CAMPAIGN_SECTIONS if description.get(name) is not None}
     file = CampaignFile.model_validate(plain(parts))
@@ -240,8 +240,8 @@ def made_of(
 ) -> LoadedCampaign:
     """Return the campaign that disperses `loaded` as specified in `file`.
 
-    Raises the errors that `load_campaign` reports. `given`: by name of a draw, the tables among which it chooses, for
-    use without files.
+    `given` contains the tables of choices among files, by name of the draw, for a campaign without access to its files.
+    Raises PydanticCustomError, which `load_campaign` reports as a ScenarioError.
     """
     found = [d for n, spec in enumerate(file.disperse) for d in _draws(loaded, spec, n, reading, given or {})]
     _check_overlaps(file, found)
@@ -271,10 +271,7 @@ _CONTINUOUS = ("normal", "truncated-normal", "uniform", "log-normal", "triangula
 
 
 def _check_correlated(plan: Plan) -> None:
-    """Raise the exception of `refuse` for invalid pairs.
-
-    A pair is invalid without two such draws, or with coefficients that exclude each other.
-    """
+    """Reject correlated pairs that are not two independent continuous draws, and incompatible coefficients."""
     free = [d for d in plan.draws if d.spec.distribution in _CONTINUOUS and d.group is None]
     for n, pair in enumerate(plan.campaign.correlated):
         found = [[d.name for d in free if name in (d.name, d.label)] for name in pair.of]
@@ -287,7 +284,7 @@ def _check_correlated(plan: Plan) -> None:
 
 
 def _check_overlaps(file: CampaignFile, found: list[Draw]) -> None:
-    """Check that no value of the scenario is drawn twice."""
+    """Reject dispersions in which a value of the scenario is drawn twice."""
     taken = set()
     for d in found:
         key: KeyPath = ("disperse", d.entry, "key")
@@ -306,7 +303,7 @@ def _check_overlaps(file: CampaignFile, found: list[Draw]) -> None:
 
 
 def channel_units(loaded: LoadedScenario) -> dict[str, str]:
-    """Return the log channels that an envelope may contain, with their units."""
+    """Return the units of the log channels that an envelope may contain, by name."""
     from maxq.sim.flight.telemetry import FAST, SLOW  # noqa: PLC0415  # lazy: loads the kernels' modules
     from maxq.sim.packing.schedule import stage_sizes  # noqa: PLC0415  # lazy: as above
     from maxq.sim.run.fly import logged_channels  # noqa: PLC0415  # lazy: as above
@@ -318,7 +315,7 @@ def channel_units(loaded: LoadedScenario) -> dict[str, str]:
 
 
 def _elements(scenario: Scenario, key: str, where: KeyPath) -> list[Target]:
-    """Return the places that a key path with `*` for some of its parts names: all elements of those lists."""
+    """Return the targets of a key path with `*` for one or more parts, each of which denotes all elements of a list."""
     head, _, tail = key.partition(".*")
     found: list[Target] = []
     for n in itertools.count():
@@ -336,7 +333,7 @@ def _elements(scenario: Scenario, key: str, where: KeyPath) -> list[Target]:
 def _draws(
     loaded: LoadedScenario, spec: Disperse, entry: int, reading: Reading | None, given: Mapping[str, tuple[Any, ...]]
 ) -> Iterator[Draw]:
-    """Yield the draws of an entry of [[disperse]]."""
+    """Yield the draws of the [[disperse]] entry `spec` with the index `entry`."""
     here: KeyPath = ("disperse", entry)
 
     def target_of(key: str, where: KeyPath) -> Target:
@@ -349,7 +346,7 @@ def _draws(
         return target
 
     def named(key: str) -> str:
-        """Return the name of the column in the data set: the key, the rows of a table, and the tag."""
+        """Return the name of the column in the data set, which consists of key, selected table rows and tag."""
         marks = [f"{name}={value:g}" for name, value in (spec.where or {}).items()] + [spec.tag] * bool(spec.tag)
         return f"{key}[{','.join(marks)}]" if marks else key
 
@@ -379,7 +376,7 @@ def _draws(
 
 
 def _check_fits(spec: Disperse, target: Target, at: KeyPath) -> None:
-    """Check a distribution against the value to which it applies."""
+    """Reject a distribution that is not suitable for the value to which it applies."""
     if target.kind in ("text", "table"):
         if spec.distribution != "choice" or spec.apply != "set":
             raise refuse(f"{target.key} holds no number", "'choice'", (*at, "distribution"), value=spec.distribution)
@@ -404,7 +401,7 @@ def _check_fits(spec: Disperse, target: Target, at: KeyPath) -> None:
 def _tables(
     spec: Disperse, target: Target, here: KeyPath, reading: Reading | None, given: tuple[Any, ...] | None
 ) -> tuple[CsvTable, ...]:
-    """Return the tables among which a draw chooses."""
+    """Return the tables among which a draw chooses, from its values or from `given`."""
     _, metadata = field_at(Scenario, target.path)
     columns = next(mark for mark in metadata if isinstance(mark, Columns))
     out = []

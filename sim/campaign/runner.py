@@ -6,7 +6,7 @@ Threads run in parallel, because the compiled kernel releases the interpreter's 
     result = run_campaign(load_campaign("campaigns/ksr3"), Path("runs/ksr3"), cluster=Client("tcp://head:8786"))
 
 Runs are submitted in order, over several batches. This process writes a batch as soon as its last run is complete.
-Hence memory holds only the batches in progress for any number of runs, and no worker waits for another.
+Memory therefore contains only the batches in progress for any number of runs, and workers are not idle between batches.
 """
 
 from __future__ import annotations
@@ -38,31 +38,28 @@ from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.metrics import judge
 from maxq.sim.scenario.schema_scenario import RequirementSection
 
-CHUNK = 8  # runs that a thread prepares, flies and judges together; fewer towards the end, so that all end together
-AHEAD = 2  # tasks for each worker that are submitted before they are needed
-_POLL_S = 0.2  # interval of progress reports and of queries whether to stop
-_TRIES = 5  # attempts at a batch whose workers die; Dask itself tries each one several times
-_SHARES = 4  # batches for each thread of a cluster, at least
+CHUNK = 8  # runs that a thread prepares, flies and judges together; fewer near the end, so that all end together
+AHEAD = 2  # tasks submitted for each worker, including those in progress
+_POLL_S = 0.2  # interval of progress reports and of calls of `stop`
+_TRIES = 5  # attempts at a batch whose workers die; Dask makes several attempts for each of them
+_SHARES = 4  # least number of batches for each thread of a cluster
 
 Gap = tuple[int, int]
-"""The runs to be flown and written together: the first run, and their number."""
+"""Missing runs that are flown and written together: the first run, and their number."""
 
 
 @dataclass
 class Tally:
-    """The tally of a requirement (None: that control is kept). `worst` is nan while no run has a value."""
+    """The tally of a requirement (None for CONTROL_KEPT). `worst` is nan until a run has a value."""
 
     name: str
     requirement: RequirementSection | None
     failures: int = 0
-    failures_in_order: int = 0  # failures in the runs without a gap from the first one on
+    failures_in_order: int = 0  # failures in the runs before the first gap
     worst: float = math.nan
 
     def add(self, outcome: str, cause: str, metrics: Mapping[str, Any]) -> bool:
-        """Count a run, and return True if it misses the requirement.
-
-        A run without usable metrics misses all of them.
-        """
+        """Count a run, and return True if it misses the requirement. A run without usable metrics misses it."""
         void = outcome in VOID
         if self.requirement is None:
             missed = void or bool(cause)
@@ -76,10 +73,10 @@ class Tally:
 
 
 class Interim:
-    """The tallies of all runs, and of the runs without a gap from the first one on, the basis of interim verdicts.
+    """The tallies of all completed runs, and of the runs before the first gap, on which interim verdicts are based.
 
-    The order in which runs are completed depends on their duration, and so on their failures. A verdict on all
-    completed runs would be biased.
+    The order of completion depends on the duration of runs, and thus on their failures. A verdict on all completed runs
+    would therefore be biased.
     """
 
     def __init__(self, campaign: LoadedCampaign) -> None:
@@ -90,7 +87,7 @@ class Interim:
         self._ahead: dict[int, tuple[bool, list[bool]]] = {}
 
     def read(self, folder: Path, runs: int) -> None:
-        """Count the first `runs` runs in a folder."""
+        """Count the runs below `runs` in a campaign's folder."""
         metrics = dict.fromkeys(t.requirement.metric for t in self.tallies if t.requirement)
         wanted = ["run", "outcome", "passed", "cause", *metrics]
         for part in parts_in(folder):
@@ -110,19 +107,22 @@ class Interim:
             self._in_order += 1
 
     def settled(self) -> bool:
-        """Return True if the verdict on every requirement, and on all together, is final under any stopping rule."""
+        """Return True if the verdicts on each requirement and on all requirements together are settled.
+
+        They are verdicts of the any-time test, which are valid under any stopping rule.
+        """
         n, counts = self._in_order, [*(t.failures_in_order for t in self.tallies), self._failed_in_order]
         return n > 0 and all(judge_failures(count, n, *self._level).judgement != OPEN for count in counts)
 
 
 @dataclass
 class CampaignProgress:
-    """The state of a campaign, passed to `watch` a few times a second."""
+    """The progress of a campaign, passed to `watch` a few times a second."""
 
     total: int
     before: int  # runs that existed at the beginning
     interim: Interim
-    flown: int = 0  # runs flown since then
+    flown: int = 0  # runs completed since then
     started_s: float = field(default_factory=time.monotonic)
 
     @property
@@ -135,7 +135,7 @@ class CampaignProgress:
 
     @property
     def rate(self) -> float:
-        """Return the flights per second."""
+        """Return the number of flights per second."""
         return self.flown / self.elapsed_s if self.flown else 0.0
 
     @property
@@ -145,9 +145,13 @@ class CampaignProgress:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a call: `stopped` by the caller, `settled` before all runs were needed, or all runs flown.
+    """The result of `run_campaign`.
 
-    `missing` are the runs that were in no part at the beginning.
+    - `flown`, `total`: number of runs flown in this call, and of all runs of the campaign.
+    - `stopped`: True if `stop` ended the call.
+    - `settled`: True if settled verdicts ended the call.
+    - `notes`: findings and repairs in the folder.
+    - `missing`: runs that were not in the data set at the beginning.
     """
 
     flown: int
@@ -171,13 +175,17 @@ def run_campaign(
     elsewhere: str = "give another --out",
     wait: Wait | None = None,
 ) -> Outcome:
-    """Fly the missing runs of a campaign into its folder, on `workers` threads (default: one for each core).
+    """Fly the missing runs of a campaign on `workers` threads (default: one for each core), and write them to `folder`.
 
-    `cluster`: the address of a Dask scheduler, or a dask Client, whose workers fly instead (maxq[dask]). `watch` is
-    called with the progress a few times a second. If `stop` then returns True, whole runs of the current batch are
-    written and the call ends. `elsewhere`: advice for a folder that is in use or holds other data. `wait`: called with
-    the name of the process that uses the folder until it is free; its runs are then not flown again. Raises
-    CampaignError.
+    - `cluster`: address of a Dask scheduler, or a dask Client, whose workers are used instead of threads (maxq[dask]).
+    - `watch`: called with the progress a few times a second.
+    - `stop`: called with the same frequency. If it returns True, completed runs are written, and the call ends.
+    - `until_settled`: end as soon as all verdicts are settled.
+    - `elsewhere`: advice in the message for a folder that is in use or contains other data.
+    - `wait`: called with the name of another process that uses the folder, until the folder is free. The runs of that
+      process are not flown again.
+
+    Raises CampaignError.
     """
     if until_settled and campaign.campaign.test == "fixed":
         raise CampaignError(f"{campaign.name}: --until-settled looks at any time; campaign.test = 'fixed' does not")
@@ -212,14 +220,14 @@ def _fly(
     stop: Callable[[], bool],
     until_settled: bool,
 ) -> tuple[bool, bool]:
-    """Fly the tasks, and return True if stopped, and True if it ended because every verdict was settled."""
+    """Fly the tasks, and return two flags: True if `stop` returned True, and True if all verdicts were settled."""
     stopped, settled = False, until_settled and progress.interim.settled()
     flying: set[Future[Any]] = set()
     landed: SimpleQueue[Future[Any]] = SimpleQueue()
 
     def begun(task: Future[Any]) -> None:
         flying.add(task)
-        task.add_done_callback(landed.put)  # searching all of a large cluster's tasks would take longer
+        task.add_done_callback(landed.put)  # faster than a search of all tasks of a large cluster
 
     watch(progress)
     try:
@@ -252,7 +260,7 @@ def _fly(
 
 
 class _Batches:
-    """The completed rows of batches that are not yet whole and written."""
+    """The completed rows of batches that are not yet complete."""
 
     def __init__(self, store: Store, gaps: list[Gap], progress: CampaignProgress) -> None:
         self._store, self._gaps, self._progress = store, gaps, progress
@@ -270,7 +278,7 @@ class _Batches:
                 del self._rows[first]
 
     def write_begun(self) -> None:
-        """Write the batches in progress up to their first gap."""
+        """Write the completed runs of each batch in progress up to its first gap."""
         for first, batch in self._rows.items():
             whole = [batch[run] for run in takewhile(batch.__contains__, count(first))]
             if whole:
@@ -278,7 +286,7 @@ class _Batches:
 
 
 class Threads:
-    """The threads of this process."""
+    """The workers of a campaign that are threads of this process."""
 
     def __init__(self, campaign: LoadedCampaign, workers: int) -> None:
         self._campaign, self._workers = campaign, workers
@@ -290,7 +298,7 @@ class Threads:
         return usual
 
     def begin(self, gaps: list[Gap]) -> Iterator[Future[list[Row]]]:
-        """Load the kernels, and return an iterator that submits the next task."""
+        """Load the kernels if there are gaps, and return an iterator that submits the next task."""
         if gaps:
             load_kernels(self._campaign)
         return self._tasks(gaps)
@@ -307,18 +315,18 @@ class Threads:
         return task.result()
 
     def end(self) -> None:
-        """Cancel the tasks that have not begun, and abandon those in progress."""
+        """Cancel the tasks that have not begun, and stop the others after their present segment."""
         self._stop.set()
         self._pool.shutdown(cancel_futures=True)
 
 
 def load_kernels(campaign: LoadedCampaign) -> None:
-    """Load or compile the kernels before the timing starts, so that threads do not wait for each other."""
+    """Load or compile the kernels before the time is measured, so that threads do not compile them at the same time."""
     FlightRun(campaign.base, packer(campaign)(campaign.base.scenario), log=False).result()
 
 
 def _connected(address: str) -> Any:
-    """Return a client of the scheduler at an address. Raises CampaignError."""
+    """Return a Dask client of the scheduler at an address. Raises CampaignError."""
     try:
         from distributed import Client  # noqa: PLC0415  # an extra
 
@@ -330,10 +338,10 @@ def _connected(address: str) -> Any:
 
 
 class DaskCluster:
-    """The workers of a Dask client.
+    """The workers of a campaign that belong to a Dask client.
 
-    A task receives the whole campaign and flies a batch. Any worker can repeat it at any time, and workers may join and
-    leave. Its rows are bit for bit those of threads on this machine.
+    A task receives the whole campaign and flies a batch. Any worker can repeat a task at any time, and workers may join
+    and leave. The rows are bit for bit those of threads on this machine.
     """
 
     def __init__(self, campaign: LoadedCampaign, client: Any) -> None:
@@ -351,7 +359,7 @@ class DaskCluster:
         return max(AHEAD * self._threads, 2)
 
     def batch(self, usual: int, runs: int) -> int:
-        """Return a batch size small enough that every thread of a large cluster has work."""
+        """Return the given batch size, or a batch size with which each thread of a large cluster has work."""
         return usual if self._given else min(usual, max(runs // (_SHARES * max(self._threads, 1)), 1))
 
     def begin(self, gaps: list[Gap]) -> Iterator[Future[Any]]:
@@ -363,16 +371,16 @@ class DaskCluster:
         return task
 
     def collect(self, task: Future[Any]) -> list[Row] | Future[Any]:
-        """Return the rows of a completed task, or the new task if a failed one was submitted again.
+        """Return the rows of a completed task, or a new task if the task failed and was submitted again.
 
-        Raises CampaignError if the task has failed too often, or if a worker has another simulator.
+        Raises CampaignError if the task failed _TRIES times, or if a worker has a different simulator.
         """
         first, size, tries = self._out.pop(task)
         try:
             rows, theirs = task.result()
         except CampaignError:
             raise
-        except Exception as error:  # from Dask: its workers died, or it lost the task
+        except Exception as error:  # from Dask: workers died, or the task was lost
             if tries < _TRIES:
                 return self._submit(first, size, tries + 1)
             raise CampaignError(
@@ -390,7 +398,7 @@ class DaskCluster:
 
 
 def fly_batch(packed: bytes, first: int, size: int) -> tuple[list[Row], dict[str, str]]:
-    """Fly the runs `first` .. `first + size - 1` of a task, and return their rows and the versions that flew them."""
+    """Fly the runs `first` to `first + size - 1`, and return their rows and the versions of the simulator."""
     campaign = _unpacked(packed)
     drawn = campaign.plan.draw(first, size)
     orders = [(drawn, run) for run in range(first, first + size)]
@@ -399,5 +407,5 @@ def fly_batch(packed: bytes, first: int, size: int) -> tuple[list[Row], dict[str
 
 @lru_cache(maxsize=2)
 def _unpacked(packed: bytes) -> LoadedCampaign:
-    """Return the campaign of a task; a worker makes it once."""
+    """Return the campaign of a task, which a worker creates once."""
     return campaign_from(json.loads(zlib.decompress(packed)))

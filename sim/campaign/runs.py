@@ -1,4 +1,4 @@
-"""Runs of a campaign: their scenarios are flown, and each run becomes a row of the data set, even after an error."""
+"""The runs of a campaign, each of which is flown and recorded in a row of the data set, even after an error."""
 
 from __future__ import annotations
 
@@ -27,32 +27,32 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_scenario import Scenario
 
 REFUSED, ERROR = "refused", "error"
-"""The outcomes in addition to those of a flight: the draws make no possible scenario; an error of this program."""
+"""The outcomes in addition to those of a flight: draws that give no valid scenario, and an error of this program."""
 VOID = (DIVERGED_NAME, SOFTWARE_NAME, REFUSED, ERROR)
-"""The outcomes without usable metrics: such a run misses every requirement."""
-OWN_KERNELS_FROM = 500  # runs
+"""The outcomes without usable metrics. A run with such an outcome misses every requirement."""
+OWN_KERNELS_FROM = 500  # number of runs
 TIME_OF = "{}.time_s"
 """The name of the column with the time of a metric."""
 
 RunOrder = tuple[Drawn, int]
-"""The draws of a run's batch, and the run."""
+"""The draws of the batch of a run, and the number of the run."""
 Packing = Callable[[Scenario], Packed]
 
-_SEGMENT_NS = 100 * NS_PER_S  # segment of a flight, a tenth of a second's work: the flight can be cancelled between two
+_SEGMENT_NS = 100 * NS_PER_S  # a tenth of a second of computing; a flight can be cancelled between two segments
 
 
 @dataclass
 class Row:
-    """The record of one run. The fields of `_COLUMNS` are columns of the data set by their names."""
+    """The record of a run. The fields of `_COLUMNS` are columns of the data set with the same names."""
 
     run: int
     outcome: str
     passed: bool
     cause: str
-    lost_s: float  # control lost or diverged; nan: neither
+    lost_s: float  # time of loss of control or divergence, nan if neither occurred
     end_s: float
     steps: int
-    halvings: int  # of the step, until the integration errors were small enough (or MOST_HALVINGS)
+    halvings: int  # number of halvings of the step that the integration errors required, at most MOST_HALVINGS
     redraws: int
     state_hash: str
     inputs: dict[str, Any]
@@ -62,13 +62,13 @@ class Row:
 
 
 def fly_rows(loaded: LoadedCampaign, orders: Iterable[RunOrder], stop: Callable[[], bool] = lambda: False) -> list[Row]:
-    """Fly these runs one after the other, and return the rows of those flown before `stop` returned True, in order.
+    """Fly consecutive runs, and return in order the rows of the runs completed before `stop` returned True.
 
-    An error in a run becomes its row. A run whose integration errors are too large is flown again with half the step.
-    All runs are prepared before the first is flown, and judged after the last. A flight displaces Python's code and
-    data from the processor's caches, and reloading them for each run costs as much as the preparation. Only external
-    flight code is started in turn, because it flies in a separate process, one per thread. Raises CampaignError if the
-    file rejects the draws.
+    An error in a run is recorded in its row. A run whose integration errors are too large is flown again with half the
+    step. All runs are prepared before the first is flown, and judged after the last. A flight displaces Python's code
+    and data from the processor's caches, and reloading them for each run would take as long as the preparation. Only
+    external flight code is started for each run in turn, because it flies in a separate process, one for each thread.
+    Raises CampaignError if the campaign rejects the draws.
     """
     pack, computer = packer(loaded), loaded.base.scenario.vehicle.computer
     runs = [_Run(loaded, drawn, run) for drawn, run in orders]
@@ -83,7 +83,7 @@ def fly_rows(loaded: LoadedCampaign, orders: Iterable[RunOrder], stop: Callable[
 
 
 class _Run:
-    """A run that is drawn, packed, flown and recorded. If this fails, `row` is set at once and holds the reason."""
+    """A run that is drawn, packed, flown and recorded. If a step fails, `row` is set and contains the reason."""
 
     def __init__(self, loaded: LoadedCampaign, drawn: Drawn, run: int) -> None:
         wanted = loaded.campaign.envelope
@@ -102,16 +102,16 @@ class _Run:
                 self.packed = pack(self.made.loaded.scenario)
 
     def begin(self) -> None:
-        """Bring the run to its start, where external flight code begins to run."""
+        """Create the flight at its start, which also starts external flight code."""
         if self.row is None and self.flight is None:
             with self._errors_recorded():
                 self.flight = _begun_flight(self.made.loaded, self.envelope, self.packed)
 
     @contextmanager
     def _errors_recorded(self) -> Iterator[None]:
-        """Record the error of a run, since one run in ten thousand must not end a campaign.
+        """Record an exception in the row of the run, so that a single run does not end a campaign.
 
-        A lack of memory concerns the machine and is raised again.
+        MemoryError concerns the machine and is raised.
         """
         try:
             yield
@@ -122,7 +122,7 @@ class _Run:
             self.row.inputs, self.row.redraws = self.made.recorded, self.made.redraws
 
     def fly(self, stop: Callable[[], bool]) -> bool:
-        """Fly the run to its end; return False if `stop` returned True before."""
+        """Fly the run to its end, and return True; return False if `stop` returned True before the end."""
         self.begin()
         if self.flight is None:
             return True
@@ -138,7 +138,10 @@ class _Run:
         return True
 
     def recorded(self, pack: Packing, stop: Callable[[], bool]) -> Row | None:
-        """Return the row of a completed run, or None if `stop` returned True while it was flown again."""
+        """Return the row of a completed run, after repetitions with a finer step if its integration errors require it.
+
+        The result is None if `stop` returned True during a repetition.
+        """
         while self.row is None and self.flight is not None:
             with self._errors_recorded():
                 flight = self.flight.result()
@@ -159,23 +162,26 @@ class _Run:
 
 
 def _on_grid(rows: LoggedRows, columns: Sequence[tuple[str, int]], rate_hz: float) -> tuple[Array, Array]:
-    """Return times (n,) and values (channels, n) of the segment; the flight's last instant is not on the grid."""
+    """Return the times (n,), s, and values (channels, n) of a segment on the grid of `rate_hz`.
+
+    The last instant of a flight is usually not on the grid.
+    """
     times = rows[SLOW][0] / NS_PER_S
     on_grid = np.flatnonzero(np.abs(times * rate_hz - np.rint(times * rate_hz)) < 1e-6)
     return times[on_grid], np.array([rows[group][1][on_grid, column] for group, column in columns])
 
 
 def packer(loaded: LoadedCampaign) -> Packing:
-    """Return the packing of a campaign's flights.
+    """Return the function that packs a campaign's flights.
 
-    Many runs justify compiling kernels of their own, and few runs use the common kernels. Their results are the same
-    bits.
+    With OWN_KERNELS_FROM runs or more, kernels are compiled for the vehicle; otherwise, the common kernels are used.
+    Both compute the same bits.
     """
     return pack_for_one_vehicle if loaded.campaign.runs >= OWN_KERNELS_FROM else pack_flight
 
 
 def fly_scenario(loaded: LoadedScenario) -> Flight:
-    """Fly a scenario without a log, again with half the step while its integration errors are too large."""
+    """Return the flight of a scenario without a log, repeated with half the step while integration errors are large."""
     run = _begun_flight(loaded, None, pack_flight(loaded.scenario))
     while not run.finished:
         run.fly_segment()
@@ -185,7 +191,7 @@ def fly_scenario(loaded: LoadedScenario) -> Flight:
 
 
 def _begun_flight(loaded: LoadedScenario, envelope: Envelope | None, packed: Packed) -> FlightRun:
-    """Return a flight at its start, without a log, with the channels of an envelope if one is given."""
+    """Return a flight at its start, with log rows at the rate of the envelope, or without rows if it is None."""
     timeline = packed.parameters[0].timeline
     step_ns = 1 if timeline.even == 1 else int(timeline.step_ns)  # step of the grid of the rows
     if envelope is not None:
@@ -238,7 +244,7 @@ _NUMBERS = {pa.float64(): "f8", pa.int64(): "i8", pa.int32(): "i4", pa.bool_(): 
 
 
 def input_types(campaign: LoadedCampaign) -> dict[str, pa.DataType]:
-    """Return the columns of the draws, in the order of the file."""
+    """Return the types of the columns of all draws, by name: [[disperse]], then noise and wind."""
     plan = campaign.plan
     out = {d.name: pa.string() if d.is_text else pa.float64() for d in plan.draws}
     if plan.own_noise:
@@ -250,9 +256,9 @@ def input_types(campaign: LoadedCampaign) -> dict[str, pa.DataType]:
 
 
 def schema_of(campaign: LoadedCampaign) -> pa.Schema:
-    """Return the schema of a row for each run.
+    """Return the schema of the data set, which has a row for each run.
 
-    Its columns are the outcome, the draws (null where nothing could be drawn), the metrics and their times.
+    Its columns are the outcome, the draws (null for a run that could not be drawn), the metrics and their times.
     """
     inputs = [pa.field(name, kind) for name, kind in input_types(campaign).items()]
     metrics = [pa.field(name, pa.float64()) for name in (*METRIC_NAMES, *map(TIME_OF.format, METRIC_NAMES))]
@@ -260,7 +266,7 @@ def schema_of(campaign: LoadedCampaign) -> pa.Schema:
 
 
 def table_of(rows: Sequence[Row], schema: pa.Schema) -> pa.Table:
-    """Return the rows in order of their runs."""
+    """Return a table of the rows in order of their runs."""
     rows = sorted(rows, key=lambda row: row.run)
     known = {column.name: [getattr(row, column.name) for row in rows] for column in _COLUMNS}
     for name in METRIC_NAMES:
@@ -271,7 +277,7 @@ def table_of(rows: Sequence[Row], schema: pa.Schema) -> pa.Table:
 
 
 def history_table(rows: Sequence[Row], channels: Sequence[str]) -> pa.Table:
-    """Return a table of the rows with a history. Columns: `run`, and lists of `time_s` and of each channel's values."""
+    """Return a table of the rows with a history, with columns for `run` and lists of `time_s` and channel values."""
     lists = [pa.field(name, pa.list_(pa.float32())) for name in ("time_s", *channels)]
     schema = pa.schema([pa.field("run", pa.int64(), False), *lists])
     kept = sorted(((r.run, r.history) for r in rows if r.history is not None), key=lambda item: item[0])
@@ -284,9 +290,9 @@ def _table(columns: Sequence[Sequence[Any]], schema: pa.Schema) -> pa.Table:
 
 
 def array_of(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
-    """Return numbers, flags, texts (None: null), or lists of single-precision numbers as an Arrow array.
+    """Return numbers, flags, texts or lists of single-precision numbers as an Arrow array, with None as null.
 
-    pa.array gives the same result, but first imports pandas if it is installed, which takes 0.3 s in every campaign.
+    pa.array would give the same result, but imports pandas if it is installed, which takes 0.3 s in every campaign.
     """
     if pa.types.is_list(kind):
         ends = np.cumsum([0, *map(len, values)], dtype=np.int32)

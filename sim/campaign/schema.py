@@ -1,4 +1,4 @@
-"""The sections of a campaign file in addition to its scenario: [campaign], [[disperse]], [wind_model]."""
+"""The sections of a campaign file in addition to its scenario: [campaign], [[disperse]] and [wind_model]."""
 
 from __future__ import annotations
 
@@ -33,10 +33,7 @@ Probability = Annotated[float, Field(gt=0.0, lt=1.0)]
 
 
 def _as_read(value: Any, usual: ValidatorFunctionWrapHandler) -> Any:
-    """Keep a text as it was read.
-
-    It may name a file, which is searched for in the folder of the naming file.
-    """
+    """Return a text of a file unchanged, because it may name a file relative to the folder of that file."""
     return value if isinstance(value, Text) else usual(value)
 
 
@@ -52,7 +49,7 @@ Samples = Annotated[CsvTable, Columns("")]
 
 
 class Envelope(Section):
-    """The histories at a reduced rate, for percentiles over time."""
+    """The histories of channels at a reduced rate, for percentiles over time."""
 
     channels: tuple[str, ...] = optional(
         "names of log channels (docs/telemetry.md)",
@@ -66,7 +63,7 @@ class Envelope(Section):
             "altitude_m",
         ),
     )
-    rate_hz: Annotated[float, Field(gt=0.0, le=100.0)] = optional("rows per second, Hz", 2.0)
+    rate_hz: Annotated[float, Field(gt=0.0, le=100.0)] = optional("sample rate, Hz", 2.0)
     runs: Annotated[int, Field(ge=0)] = optional("number of runs, from the first", 1000)
     percentiles: tuple[Annotated[float, Field(ge=0.0, le=100.0)], ...] = optional(
         "lines of the envelope, %", (0.135, 5.0, 50.0, 95.0, 99.865)
@@ -74,26 +71,26 @@ class Envelope(Section):
 
 
 class Correlated(Section):
-    """Two draws with correlated normal scores, for any distributions (a Gaussian copula)."""
+    """Two draws of any continuous distributions with correlated normal scores (a Gaussian copula)."""
 
     of: tuple[str, str] = Field(description="names or key paths of two draws with continuous distributions")
     coefficient: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(description="correlation coefficient of their scores")
 
 
 class Campaign(Section):
-    """The number of runs, the draws and required confidence."""
+    """The number of runs, the sampling, and the required confidence."""
 
     runs: Annotated[int, Field(ge=0, lt=2**53)] = Field(description="number of flights")
     seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("seed of all draws", 1)
     sampling: Literal["random", "latin-hypercube", "sobol"] = optional("sampling method", "random")
-    stratum: Annotated[int, Field(gt=0)] | None = optional("runs of one Latin hypercube (default: runs of this file)")
+    stratum: Annotated[int, Field(gt=0)] | None = optional("runs of a Latin hypercube (default: runs of this file)")
     noise: Literal["each-run", "as-scenario"] = optional(
-        "a separate run.seed for each run (turbulence, gyro noise), or that of the file for all", "each-run"
+        "a separate run.seed for each run (turbulence, gyro noise), or the file's for all", "each-run"
     )
     outside: Outside = optional("a draw outside its bounds is repeated and counted, or ends the campaign", "resample")
     test: Literal["any-time", "fixed"] = optional(
         "statistical test: any-time is valid under optional stopping; fixed is valid after the number of runs "
-        "recorded before the first one (an extended campaign uses any-time with the remaining risk)",
+        "recorded beforehand (an extended campaign uses any-time with the remaining risk)",
         "any-time",
     )
     success: Probability = optional("share of flights that must meet a requirement", 0.9973)
@@ -124,7 +121,7 @@ _MEANINGFUL: dict[str, tuple[str, ...]] = {
     "samples": ("file", "column"),
     "cases": ("file",),
 }
-"""The keys that have a meaning only with certain distributions."""
+"""The keys that have a meaning for certain distributions only, by distribution."""
 _REQUIRED = {
     "low": "a number",
     "high": "a number",
@@ -132,49 +129,46 @@ _REQUIRED = {
     "values": "a list of values",
     "file": "a CSV file",
 }
-"""The keys that are required where they have a meaning.
-
-low and high are optional in a truncated normal distribution.
-"""
+"""The keys that are required where they have a meaning, except low and high in a truncated normal distribution."""
 
 
 class Disperse(Section):
     """A value of the scenario that differs from run to run."""
 
     key: str | None = optional(
-        "key path, e.g. vehicle.stage.0.engine.thrust_factor; * for a part of it: one draw for each element of a list"
+        "key path, e.g. vehicle.stage.0.engine.thrust_factor; * as a part: one draw for each element of the list"
     )
     keys: tuple[str, ...] | None = optional(
         "several keys: with covariance one draw for each, otherwise one draw for all"
     )
-    tag: str = optional("distinguishes two draws that act on the same column of a table", "")
+    tag: str = optional("distinguishes two draws for the same column of a table", "")
     name: str = optional("name in reports (default: the key)", "")
     source: str = optional("source of the numbers", "")
     kind: Uncertainty | None = optional(
-        "aleatory: differs from flight to flight; epistemic: one value, which is not known (docs/verdicts.md)"
+        "aleatory: differs from flight to flight; epistemic: one unknown value (docs/verdicts.md)"
     )
     apply: Literal["set", "scale", "add"] = optional(
         "the draw replaces the value, multiplies it, or is added to it", "set"
     )
-    power: float | None = optional("with apply = 'scale': power of the draw that multiplies the value (default 1)")
+    power: float | None = optional("with apply = 'scale': exponent of the draw in the factor (default 1)")
     where: dict[str, float] | None = optional(
         "for tables: only rows in which these columns have these values, e.g. {mode = 1}"
     )
     distribution: Literal[
         "normal", "truncated-normal", "uniform", "log-normal", "triangular", "choice", "samples", "cases"
     ] = Field(description="distribution of the draws")
-    mean: float | None = optional("normal (default: the value itself; 1 to scale, 0 to add)")
-    sigma: NotNegative | None = optional("normal: standard deviation; log-normal: of ln(x)")
+    mean: float | None = optional("normal: mean (default: the value itself; 1 to scale, 0 to add)")
+    sigma: NotNegative | None = optional("standard deviation; log-normal: that of ln(x)")
     three_sigma: NotNegative | None = optional("three times sigma, instead of it")
     low: float | None = optional("uniform, triangular, truncated normal: smallest value")
     high: float | None = optional("uniform, triangular, truncated normal: largest value")
     mode: float | None = optional("triangular: most likely value")
-    median: Positive | None = optional("log-normal (default: 1 to scale, else the value)")
+    median: Positive | None = optional("log-normal: median (default: 1 to scale, else the value)")
     values: tuple[Choice, ...] | None = optional("choice: numbers, texts or files")
     weights: tuple[NotNegative, ...] | None = optional("choice: weight of each (default: equal)")
     file: Samples | None = optional("samples, cases: a CSV file")
     column: str | None = optional("samples: column of the file (default: its only one)")
-    order: Order = optional("samples, cases: a row at random, or row i for run i (again from the first)", "random")
+    order: Order = optional("samples, cases: a row at random, or row i for run i, cyclic", "random")
     covariance: tuple[tuple[float, ...], ...] | None = optional("normal with keys: covariance matrix")
     at_least: float | None = optional("lower bound of the resulting value")
     at_most: float | None = optional("upper bound of the resulting value")
@@ -192,15 +186,12 @@ class Disperse(Section):
 
     @property
     def sample_column(self) -> str:
-        """Return the column from which samples are drawn.
-
-        It is empty if it is not given and there are several.
-        """
+        """Return the column from which samples are drawn; empty if none is given and there are several."""
         names = list(self.file.columns) if self.file is not None else []
         return self.column or (names[0] if len(names) == 1 else "")
 
     def centre(self, nominal: float) -> float:
-        """Return the mean of a normal draw; without a mean, the draw that changes nothing."""
+        """Return the mean of a draw, or without a given mean, the draw that leaves the nominal value unchanged."""
         if self.mean is not None:
             return self.mean
         return {"set": nominal, "scale": 1.0, "add": 0.0}[self.apply]
@@ -260,20 +251,20 @@ class WindModel(Section):
     )
     source: str = optional("source of the numbers", "")
     kind: Uncertainty | None = optional(
-        "aleatory: differs from flight to flight; epistemic: one value, which is not known (docs/verdicts.md)"
+        "aleatory: differs from flight to flight; epistemic: one unknown value (docs/verdicts.md)"
     )
     table: Annotated[CsvTable, WIND_MODEL_COLUMNS] | None = optional(
-        "vector: standard deviation of both components over altitude, and their correlation"
+        "vector: standard deviations of both components over altitude, and their correlation"
     )
-    correlation_length_m: Positive | None = optional("vector: height in which the correlation falls to 1/e, m")
-    factor: NotNegative = optional("vector: multiplies the standard deviations", 1.0)
+    correlation_length_m: Positive | None = optional("vector: height difference with correlation 1/e, m")
+    factor: NotNegative = optional("vector: factor on the standard deviations", 1.0)
     months: Annotated[CsvTable, MONTH_COLUMNS] | None = optional(
-        "vector: factors on the mean wind and the deviations by month (1 to 12); runs have the months in turn"
+        "vector: factors on the mean wind and the deviations by month (1 to 12), which runs use in turn"
     )
     profiles: Annotated[Profiles | None, BeforeValidator(_each_sounding)] = optional(
-        "ensemble: files as for wind.profile; a folder: all files in it; a file of several soundings: each of them"
+        "ensemble: files as for wind.profile; a folder: all its files; a file of several soundings: each of them"
     )
-    order: Order = optional("ensemble: at random, or i for run i", "random")
+    order: Order = optional("ensemble: a profile at random, or profile i for run i", "random")
 
     def _check(self) -> None:
         is_vector = self.model == "vector"
@@ -305,6 +296,6 @@ class CampaignFile(Section):
 
 
 def keep_is_known(text: str) -> bool:
-    """Return True if `text` selects flights: see `KEEP_ALLOWED`."""
+    """Return True if `text` is a valid selection of flights, as in `KEEP_ALLOWED`."""
     found = re.fullmatch(r"worst:\d+(?::(.*))?|failed(?::\d+)?|\s*\d+\s*(?:,\s*\d+\s*)*", text)
     return found is not None and found[1] in (None, *METRIC_NAMES)

@@ -1,21 +1,21 @@
-"""Verdicts from a number of flights: tests that allow looking at any time, binomial bounds, order statistics.
+"""The verdicts from a number of flights: tests that are valid at any time, binomial bounds, order statistics.
 
-A share `success` of all flights must meet a limit, shown with `confidence`. Consider all campaigns of a vehicle that
-fails with probability p0 = 1 - success or more. A share of at most 1 - confidence of them may ever be called met
-(consumer's risk: Hanson & Beard, NASA/TP-2010-216447). The same share of a vehicle that fails less often may be called
-missed. All bounds are one-sided.
+A share `success` of all flights must meet a limit, and this must be shown with `confidence`. For a vehicle that fails
+with probability p0 = 1 - success or more, the verdict "met" may occur in at most the share 1 - confidence of all
+campaigns (consumer's risk: Hanson & Beard, NASA/TP-2010-216447). For a vehicle that fails less often, the same bound
+applies to the verdict "missed". All bounds are one-sided.
 
 The *any-time test* is the default. An e-value is the likelihood of the data under a mixture of failure probabilities on
-one side of p0, divided by that at p0. For a vehicle on the other side it is a supermartingale, so it ever exceeds
-1/risk with probability at most `risk` (Ville's inequality; Robbins, Ann. Math. Statist. 41, 1970; Howard et al., Ann.
-Statist. 49, 2021). Hence the verdict is valid under any rule for looking, stopping or continuing.
+one side of p0, divided by the likelihood at p0. For a vehicle on the other side, it is a supermartingale. The
+probability that it ever exceeds 1/risk is therefore at most `risk` (Ville's inequality; Robbins, Ann. Math. Statist.
+41, 1970; Howard et al., Ann. Statist. 49, 2021). The verdict is thus valid under any rule for inspecting, stopping or
+continuing a campaign.
 
-The *fixed test* is the exact binomial test at a number of runs recorded before the first is flown. Its size is below
-the risk, because failures are whole numbers. A campaign that is continued is judged by the any-time test with the
-remaining risk, so that both together stay within the risk (union bound).
+The *fixed test* is the exact binomial test at a number of runs recorded before the first run. Its size is below the
+risk, because failures are whole numbers. A campaign that is continued is judged by the any-time test with the remaining
+risk, so that the total risk of both tests is within the risk (union bound).
 
-The functions are those of scipy.special. scipy.stats takes a second to import, and a campaign needs these functions at
-its start.
+The functions are those of scipy.special, because scipy.stats takes a second to import at the start of a campaign.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ MET: Judgement = "met"
 NOT_MET: Judgement = "missed"
 OPEN: Judgement = "undecided"
 _MOST_RUNS = 1 << 50
-_POWER = 0.5  # exponent in the density of failure probabilities below p0, p^(_POWER - 1): few runs if few fail
+_POWER = 0.5  # of the density p^(_POWER - 1) of failure probabilities below p0; few failures then need few runs
 
 
 def failure_upper(failures: int, runs: int, confidence: float) -> float:
-    """Return the upper bound of the probability of failure (Clopper & Pearson, Biometrika 26, 1934)."""
+    """Return the one-sided upper bound of the probability of failure (Clopper & Pearson, Biometrika 26, 1934)."""
     return 1.0 if failures >= runs else float(betaincinv(failures + 1, runs - failures, confidence))
 
 
 def failure_lower(failures: int, runs: int, confidence: float) -> float:
-    """Return the lower bound of the probability of failure."""
+    """Return the one-sided lower bound of the probability of failure (Clopper & Pearson)."""
     return 0.0 if failures == 0 else float(betaincinv(failures, runs - failures + 1, 1.0 - confidence))
 
 
 @lru_cache(maxsize=1024)
 def allowed_failures(runs: int, success: float, confidence: float) -> int:
-    """Return the most failures with which a fixed test of `runs` shows the requirement to be met.
+    """Return the largest number of failures with which a fixed test of `runs` shows the requirement to be met.
 
-    It is -1 if not even zero failures do.
+    The result is -1 if even a test without failures does not show it.
     """
     p, risk = 1.0 - success, 1.0 - confidence
     return _least(lambda k: k > runs or bool(bdtr(k, runs, p) > risk), 0) - 1
@@ -61,16 +61,16 @@ def allowed_failures(runs: int, success: float, confidence: float) -> int:
 
 @dataclass(frozen=True)
 class Shown:
-    """The evidence of k failures in n runs about a requirement."""
+    """The evidence about a requirement from the number of failures in a number of runs."""
 
     judgement: Judgement
     runs: int
     failures: int
     success: float  # estimate
-    success_least: float  # lower confidence bound, by the test that judges
-    success_most: float  # upper confidence bound
-    allowed: int  # failures with which it would be met after these runs; -1: too few runs even for none
-    more: int  # further runs needed, all of them without failure; 0 if settled
+    success_least: float  # lower confidence bound of the test in use
+    success_most: float  # upper confidence bound of this test
+    allowed: int  # largest number of failures with which it would be met after these runs; -1: too few runs
+    more: int  # further runs needed if none of them fails; 0 if settled
     test: str  # name of the test
 
 
@@ -79,9 +79,9 @@ ANY_TIME = "any-time test"
 
 @lru_cache(maxsize=4096)
 def judge_failures(failures: int, runs: int, success: float, confidence: float, planned: int | None = None) -> Shown:
-    """Return the verdict on a requirement; the runs are the first ones in order, without a gap.
+    """Return the verdict on a requirement from the failures in the first `runs` runs, without a gap.
 
-    `planned`: the number of runs recorded beforehand, at which the fixed test judges. None selects the any-time test.
+    `planned` is the number of runs of the fixed test, recorded beforehand. None selects the any-time test.
     """
     p, risk = 1.0 - success, 1.0 - confidence
     judgement, test, risk_met, risk_missed = OPEN, ANY_TIME, risk, risk
@@ -92,9 +92,9 @@ def judge_failures(failures: int, runs: int, success: float, confidence: float, 
         risk_missed = max(risk - float(bdtrc(refused - 1, planned, p)), 1e-300)
 
     def more(least: int) -> int:
-        """Return the further runs, `least` or more, after which these failures show the requirement to be met.
+        """Return the number of further runs, at least `least`, after which the any-time test is met.
 
-        The proof is valid at any time.
+        The further runs are assumed to have no failures.
         """
         needed = -math.log(risk_met)
         return _least(lambda n: evidence_met(failures, n, p) >= needed, max(runs + least, failures, 1)) - runs
@@ -119,7 +119,7 @@ def judge_failures(failures: int, runs: int, success: float, confidence: float, 
 
 
 def _least(holds: Callable[[int], bool], first: int) -> int:
-    """Return the least whole number from `first` on for which a monotone condition holds."""
+    """Return the least whole number from `first` on for which the monotone condition `holds` is True."""
     step = 1
     while not holds(first + step - 1) and step < _MOST_RUNS:
         step *= 2
@@ -131,7 +131,7 @@ def _least(holds: Callable[[int], bool], first: int) -> int:
 
 
 def last(holds: Callable[[float], bool], low: float, high: float, halvings: int) -> float:
-    """Return the end of a condition that holds at `low`, but not at `high`."""
+    """Return the largest value, by bisection, of a condition that holds at `low` but not at `high`."""
     for _ in range(halvings):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if holds(middle) else (low, middle)
@@ -139,9 +139,9 @@ def last(holds: Callable[[float], bool], low: float, high: float, halvings: int)
 
 
 def confidence_sequence(failures: int, runs: int, confidence: float) -> tuple[float, float]:
-    """Return bounds of the probability of failure, each with `confidence` at all times together.
+    """Return the lower and upper bound of the probability of failure.
 
-    The values between the bounds are those that no test rejects.
+    Each has `confidence` at all times simultaneously. Values between the bounds are not rejected by the any-time test.
     """
     needed = -math.log(1.0 - confidence)
     share = failures / runs if runs else 0.0
@@ -156,11 +156,11 @@ def confidence_sequence(failures: int, runs: int, confidence: float) -> tuple[fl
 
 
 def tolerance_bound(values: Array, allowed: int, largest: bool = True) -> float:
-    """Return the (allowed + 1)-th largest of `values`, an order statistic; nan if no failure is allowed.
+    """Return the (allowed + 1)-th largest of `values` (runs,), an order statistic; nan if `allowed` is negative.
 
-    With the failures that a test allows (`Shown.allowed`), the share `success` of all flights does not exceed this
-    value, with the test's confidence. `largest` False: the value below which this share does not fall. nan counts as
-    worst.
+    If `allowed` is the number of failures that a test allows (`Shown.allowed`), the share `success` of all flights does
+    not exceed the result, with the confidence of the test. With `largest` False, the result is the value below which
+    this share does not fall. nan is regarded as the worst value.
     """
     if allowed < 0:
         return math.nan
@@ -170,9 +170,9 @@ def tolerance_bound(values: Array, allowed: int, largest: bool = True) -> float:
 
 
 def evidence_met(failures: int, runs: int, p: float) -> float:
-    """Return the log of the e-value against "fails with probability p or more".
+    """Return the logarithm of the e-value against the hypothesis of a failure probability of `p` or more.
 
-    The alternative is a mixture of failure probabilities q below p, with a density proportional to q^-0.5.
+    The alternative is a mixture of failure probabilities q below `p` with a density proportional to q^-0.5.
     """
     k, n = failures, runs
     inside = float(betainc(k + _POWER, n - k + 1, p))
@@ -183,7 +183,10 @@ def evidence_met(failures: int, runs: int, p: float) -> float:
 
 
 def evidence_missed(failures: int, runs: int, p: float) -> float:
-    """Return the log of the e-value against "fails with probability p or less"; the mixture is log-uniform above p."""
+    """Return the logarithm of the e-value against the hypothesis of a failure probability of `p` or less.
+
+    The alternative is a log-uniform mixture of failure probabilities above `p`.
+    """
     k, n = failures, runs
     outside = float(betaincc(k, n - k + 1, p)) if k else 0.0
     if outside <= 0.0:

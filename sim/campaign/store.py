@@ -1,11 +1,12 @@
 """A campaign's folder: its description, its data set in parts, and its lock.
 
-    DIR/campaign.json        what was flown: scenario, dispersions, versions. A folder holds one campaign
-    DIR/runs/*.parquet       one row for each run; a part for each batch, named after its runs
-    DIR/histories/*.parquet  thinned-out channels of the first runs, for envelopes
-    DIR/lock                 held while a process writes
+    DIR/campaign.json        scenario, dispersions and versions
+    DIR/runs/*.parquet       a part for each batch, with a row for each run
+    DIR/histories/*.parquet  channels of the first runs at a reduced rate
+    DIR/lock                 locked while a process writes
 
-A part is written whole or not at all (sim/files.py), and is on the disk before the next one is begun.
+A folder contains a single campaign. The name of a part contains the numbers of its first and last run. A part is
+written completely or not at all (sim/files.py), and is on the disk before the next part is begun.
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.record import versions
 
 MOST_BYTES = 1 << 32
-"""The largest size of a file of the data set in memory: a thousand runs take a megabyte."""
+"""The largest size of a file of the data set in memory, bytes; a thousand runs take about a megabyte."""
 MANIFEST, RUNS, HISTORIES, LOCK = "campaign.json", "runs", "histories", "lock"
 LAYOUT = 2
 _NOT_IDENTITY = tuple(f"campaign.{key}" for key in ("runs", "batch", "keep", "success", "confidence"))
 Wait = Callable[[str], None]
-"""A function that waits a moment for a process, whose name it gets."""
+"""A function that waits for a short time for another process, with its name as the argument."""
 _WORDS = ("name", "description", "source", "file")
-"""The keys that change nothing in a flight."""
+"""The keys that have no effect on a flight."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class StoredPart:
 
 
 class Store:
-    """A campaign's folder, opened with `open_store`; one process at a time writes."""
+    """The folder of a campaign, opened by `open_store`. A single process at a time may write."""
 
     def __init__(self, folder: Path, campaign: LoadedCampaign) -> None:
         self.folder = folder
@@ -65,7 +66,7 @@ class Store:
         self._lock = filelock.FileLock(folder / LOCK)
 
     def missing(self, runs: int, batch: int) -> Iterator[tuple[int, int]]:
-        """Yield the runs below `runs` that are in no part, as (first, count), cut at multiples of `batch`."""
+        """Yield the runs below `runs` that are in no part, as (first, count), divided at multiples of `batch`."""
         at = 0
         for part in [*parts_in(self.folder), StoredPart(self.folder, runs, runs)]:
             while at < min(part.first, runs):
@@ -75,9 +76,9 @@ class Store:
             at = max(at, part.last + 1)
 
     def write(self, rows: Sequence[Row]) -> None:
-        """Write one part of consecutive runs.
+        """Write a part with the rows of consecutive runs, after their histories.
 
-        Raises CampaignError if it cannot be written; then no part of it is left.
+        Raises CampaignError if a file cannot be written; no incomplete file is then left.
         """
         table, histories = table_of(rows, self.schema), history_table(rows, self._channels)
         first, last = table["run"][0].as_py(), table["run"][-1].as_py()
@@ -89,9 +90,9 @@ class Store:
         _write_table(table, self.folder / RUNS / name)
 
     def lock(self, elsewhere: str, wait: Wait | None = None) -> None:
-        """Take the lock. The lock ends with the process.
+        """Acquire the lock, which is released at the latest when the process ends.
 
-        If another process writes here, `wait` is called with its name until the lock is free. Without `wait`,
+        If another process holds the lock, `wait` is called with its name until the lock is free. Without `wait`,
         CampaignError is raised.
         """
         path = self.folder / LOCK
@@ -118,7 +119,7 @@ class Store:
         self._lock.release()
 
     def sweep(self) -> None:
-        """Remove the files left by an interrupted process, and set aside damaged parts."""
+        """Remove the files of an interrupted process, and rename damaged or overlapping parts."""
         for folder in (self.folder / RUNS, self.folder / HISTORIES):
             for stray in folder.glob(".*.parquet.*"):
                 stray.unlink(missing_ok=True)
@@ -139,7 +140,7 @@ class Store:
                 path.unlink()
 
     def _problem(self, part: StoredPart) -> str:
-        """Return the fault of a part; empty if it is whole."""
+        """Return the fault of a part, or an empty string if it is valid."""
         try:
             runs = read_part(part.path, schema=self.schema)["run"].to_numpy()
         except CampaignError as error:
@@ -149,9 +150,10 @@ class Store:
 
 
 def read_part(path: Path, columns: list[str] | None = None, schema: pa.Schema | None = None) -> pa.Table:
-    """Read a file of the data set, or some of its columns.
+    """Return a file of the data set, or the columns `columns` of it.
 
-    Raises CampaignError if it cannot be read, would take more than MOST_BYTES of memory, or lacks columns of `schema`.
+    Raises CampaignError if the file cannot be read, would take more than MOST_BYTES of memory, or does not have the
+    given schema.
     """
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
@@ -159,7 +161,7 @@ def read_part(path: Path, columns: list[str] | None = None, schema: pa.Schema | 
                 raise CampaignError(f"{path}: its columns are not those of this campaign")
             about = file.metadata
             size = sum(about.row_group(n).total_byte_size for n in range(about.num_row_groups))
-            size = max(size, 8 * about.num_rows * about.num_columns)  # runs of equal values take almost no space
+            size = max(size, 8 * about.num_rows * about.num_columns)  # sequences of equal values take almost no space
             if size > MOST_BYTES:
                 most = f"{MOST_BYTES / 1e9:.1f} GB"
                 raise CampaignError(f"{path}: decompresses to {size / 1e9:.1f} GB; {most} is the most that is read")
@@ -177,9 +179,10 @@ def _write_table(table: pa.Table, path: Path) -> None:
 def open_store(
     folder: Path, campaign: LoadedCampaign, elsewhere: str = "give another --out", wait: Wait | None = None
 ) -> tuple[Store, int]:
-    """Create and lock the folder of a campaign, and return it with the size of its batches (`wait`: see `Store.lock`).
+    """Create and lock the folder of a campaign, and return it with the size of its batches.
 
-    Raises CampaignError if it cannot be written, holds other data or another campaign, or is in use.
+    `elsewhere` is the advice in messages, and `wait` that of `Store.lock`. Raises CampaignError if the folder cannot be
+    written, contains other data or another campaign, or is in use.
     """
     try:
         there = sorted(os.listdir(folder)) if folder.is_dir() else []
@@ -203,9 +206,10 @@ def open_store(
 
 
 def _same_campaign(folder: Path, campaign: LoadedCampaign, elsewhere: str) -> int:
-    """Write the description of the campaign, or check that it is the same, and return the size of batches.
+    """Write the description of the campaign, or check that an existing description is the same.
 
-    If the file gives no size, it is a 32nd of the runs, rounded down to a power of two from 64 to 1024.
+    Returns the size of batches. If the campaign gives no size, it is a 32nd of the runs, rounded down to a power of two
+    and limited to 64 to 1024. Raises CampaignError for another campaign.
     """
     identity = description_of(campaign) | {"simulator": simulator()}
     if campaign.campaign.sampling == "latin-hypercube":
@@ -225,7 +229,7 @@ def _same_campaign(folder: Path, campaign: LoadedCampaign, elsewhere: str) -> in
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Return the manifest of a folder. Raises CampaignError."""
+    """Return the content of campaign.json in a folder. Raises CampaignError."""
     path = folder / MANIFEST
     try:
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
@@ -241,12 +245,12 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def simulator() -> dict[str, str]:
-    """Return the versions on which the bits of a flight depend."""
+    """Return the hash of the kernels and the versions on which the bits of a flight depend."""
     return {"kernels": source_hash(), **versions()}
 
 
 def campaign_in(folder: Path) -> LoadedCampaign:
-    """Return the campaign that was flown in a folder, from the folder alone. Raises CampaignError."""
+    """Return the campaign of a folder, from campaign.json alone. Raises CampaignError."""
     manifest = read_manifest(folder)
     try:
         return campaign_from(manifest, str(folder / MANIFEST))
@@ -255,7 +259,7 @@ def campaign_in(folder: Path) -> LoadedCampaign:
 
 
 def differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """Return the differences of `now` from `before`, in words; descriptions and the like do not count."""
+    """Return a text for each difference between two descriptions that has an effect on flights or draws."""
     old, new = (
         _flat(tomllib.loads(content["scenario"]))
         | _flat({part: content.get(part) for part in ("campaign", "disperse", "wind_model", "tables", "simulator")})
@@ -272,7 +276,7 @@ def differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
 
 
 def _flat(value: Any, key: str = "") -> dict[str, Any]:
-    """Return the values of nested tables by their key paths."""
+    """Return the values of nested tables by key path."""
     if isinstance(value, list) and any(isinstance(item, dict) for item in value):
         value = {str(n): item for n, item in enumerate(value)}
     if not isinstance(value, dict):
@@ -286,7 +290,7 @@ def _short(value: Any) -> str:
 
 
 def parts_in(folder: Path) -> list[StoredPart]:
-    """Return the parts of a folder by name, in order of runs."""
+    """Return the parts in a folder, according to their names, in order of runs."""
     out = []
     for path in (folder / RUNS).glob("runs-*.parquet"):
         first, _, last = path.stem.removeprefix("runs-").partition("-")
@@ -296,5 +300,8 @@ def parts_in(folder: Path) -> list[StoredPart]:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write a JSON file whole or not at all; nan and infinity become null, dataclasses tables. Raises CampaignError."""
+    """Write a JSON file completely or not at all. Raises CampaignError.
+
+    nan and infinity become null, and dataclasses become objects.
+    """
     write_whole(path, to_json(content, indent=1, inf_nan_mode="null") + b"\n", CampaignError, durable=True)

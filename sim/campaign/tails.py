@@ -1,21 +1,21 @@
-"""Tails of a metric: peaks over a threshold, and their extrapolation beyond the values flown.
+"""The tail of a metric, from peaks over a threshold, with an extrapolation beyond the values of the runs.
 
-The excesses of a tail over a high threshold follow, in the limit, a generalised Pareto distribution (Pickands, Ann.
-Statist. 3, 1975; Coles, An Introduction to Statistical Modeling of Extreme Values, 2001, chapter 4)
+The excesses over a high threshold u follow, in the limit, a generalised Pareto distribution (Pickands, Ann. Statist. 3,
+1975; Coles, An Introduction to Statistical Modeling of Extreme Values, 2001, chapter 4):
 
     P(X > u + y | X > u) = (1 + xi y / sigma)^(-1/xi)
 
-It is fitted by maximum likelihood along theta = xi / sigma, where the rest is in closed form (Grimshaw, Technometrics
-35, 1993). Bounds are upper ends of two-sided profile-likelihood intervals, which include the uncertainty of the share
-of runs beyond the threshold. For 1,000 runs of usual distributions they cover 84 to 95 % of cases at 90 %
-(tests/test_oracle_campaign_statistics.py). Unlike counts and order statistics this method extrapolates. Its result is
-an estimate in addition to the verdicts and depends on the quality of the fit. Therefore the fit is tested (Anderson &
-Darling's distance against that of samples from the fitted distribution) and shown.
+It is fitted by maximum likelihood over theta = xi / sigma; shape and scale follow in closed form (Grimshaw,
+Technometrics 35, 1993). Bounds are the upper ends of two-sided profile-likelihood intervals, which include the
+uncertainty of the share of runs beyond the threshold. For 1,000 runs of common distributions and 90 % confidence, their
+coverage is 84 to 95 % (tests/test_oracle_campaign_statistics.py). Unlike counts and order statistics, this method
+extrapolates. Its result is an estimate in addition to the verdicts, and depends on the quality of the fit. The fit is
+therefore tested by its Anderson-Darling distance, compared with that of samples from the fitted distribution.
 
-A second mechanism in a few runs has another tail, which a fit to all excesses does not follow. The largest excesses are
-therefore compared with the rest, by the likelihood ratio of two tails to one (compare Northrop & Coleman, Extremes 17,
-2014). If they depart, there is no estimate. Measured power and coverage: docs/verdicts.md. A mechanism that occurs in
-none of the runs is not detected by any test; `Tail.unseen` states how frequent it may be.
+A second mechanism in a few runs has a different tail, to which a fit to all excesses does not apply. The largest
+excesses are therefore compared with the others by the likelihood ratio of two tails to a single tail (compare Northrop
+& Coleman, Extremes 17, 2014). If they differ, there is no estimate. docs/verdicts.md gives the measured power and
+coverage. No test detects a mechanism that occurs in none of the runs; `Tail.unseen` bounds its frequency.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from maxq.control.kernel.records import Array
 from maxq.sim.campaign.statistics import failure_upper, last
 
 _SHARE = 0.1  # share of the runs beyond the threshold
-_FEWEST, _MOST = 30, 500  # excesses
+_FEWEST, _MOST = 30, 500  # least and largest number of excesses
 _SHAPES = np.linspace(-0.99, 1.5, 84)
 _SAMPLES = 99  # number of samples with which the distance is compared
-_PILED = 0.05  # share of equal excesses that no continuous tail has
-_LARGEST = (3, 5, 10, 20)  # numbers of largest excesses that are compared with the rest
-_DEPARTS = 0.05  # share of the samples of one tail at which two tails are assumed
+_PILED = 0.05  # share of equal excesses above which a tail is not continuous
+_LARGEST = (3, 5, 10, 20)  # numbers of largest excesses that are compared with the others
+_DEPARTS = 0.05  # share of the samples of a single tail at or below which two tails are assumed
 _BEST_SEEN = 1e-15
 
 
@@ -44,7 +44,8 @@ _BEST_SEEN = 1e-15
 class Tail:
     """The tail of a metric towards its limit.
 
-    `problem`: reason for a missing fit, for which the other fields are nan or empty.
+    `problem` is the reason for a missing fit, or empty. Without a fit, the other fields are nan or empty, except that
+    `largest` is given if it is the reason.
     """
 
     problem: str
@@ -57,16 +58,16 @@ class Tail:
     beyond: float = math.nan  # probability of a value beyond the limit
     beyond_bound: float = math.nan
     fit: float = math.nan  # share of samples from the fitted distribution with a larger distance from their fit
-    largest: float = math.nan  # share of these samples whose largest excesses depart more from the rest
-    unseen: float = math.nan  # share of flights, with `confidence`, of a mechanism that occurs in none of the runs
-    excesses: tuple[float, ...] = ()  # increasing, towards the limit
-    expected: tuple[float, ...] = ()  # excesses of the fitted distribution, at the same ranks
+    largest: float = math.nan  # share of these samples whose largest excesses differ more from the others
+    unseen: float = math.nan  # bound, with `confidence`, of the share of flights with a mechanism seen in no run
+    excesses: tuple[float, ...] = ()  # values beyond the threshold, in order towards the limit
+    expected: tuple[float, ...] = ()  # values of the fitted distribution at the same ranks
 
 
 def tail_of(values: Array, limit: float, success: float, confidence: float, largest: bool = True) -> Tail:
-    """Return the tail of the metric's `values` (runs,) by peaks over threshold; `largest` False: towards a least value.
+    """Return the tail of a metric from its `values` (runs,) by peaks over a threshold; nan is omitted.
 
-    nan among the values (runs without one) is left out.
+    `limit` is the limit of the metric. With `largest` False, it is a minimum, and the tail is that of small values.
     """
     sign = 1.0 if largest else -1.0
     x = np.sort(sign * values[np.isfinite(values)])
@@ -96,7 +97,7 @@ def tail_of(values: Array, limit: float, success: float, confidence: float, larg
     beyond_u = np.repeat(shares, len(_SHAPES))
 
     def likely(excess: float, probability: float) -> bool:
-        """Return True if the data allow this probability of exceeding the threshold by `excess`."""
+        """Return True if the data are compatible with this probability of a value `excess` above the threshold."""
         with np.errstate(divide="ignore"):
             scales = excess / boxcox(beyond_u / probability, each)
         return bool(best - (_log_likelihood(y, each, scales) + chance).max() <= allowed)
@@ -129,15 +130,16 @@ def tail_of(values: Array, limit: float, success: float, confidence: float, larg
 
 
 def fit_pareto(y: Array, largest: int = 0) -> tuple[Array, Array]:
-    """Return shape and scale (samples,) of the generalised Pareto distribution of increasing excesses y (samples, k).
+    """Return the shape and scale (samples,) of generalised Pareto distributions fitted to excesses `y` (samples, k).
 
-    Of the `largest` excesses, the fit uses only that they are larger than the others (censored samples).
+    The excesses are in increasing order. The number `largest` of them, at the end, are treated as censored: the fit
+    uses only that they are larger than the others.
     """
     known = y.shape[1] - largest
     top = y[:, known - 1]
     y = np.minimum(y, top[:, None])
     mean = y.sum(axis=1) / known
-    inside = 1.0 - np.geomspace(1e-6, 1.0, 40)[:-1]  # fractions of -1/top, at which a sample would be beyond the end
+    inside = 1.0 - np.geomspace(1e-6, 1.0, 40)[:-1]  # fractions of -1/top, where the distribution ends at `top`
     grid = np.concatenate([-inside[None] / top[:, None], np.geomspace(1e-4, 30.0, 40)[None] / mean[:, None]], axis=1)
     grid.sort(axis=1)
 
@@ -159,10 +161,10 @@ def fit_pareto(y: Array, largest: int = 0) -> tuple[Array, Array]:
 
 
 def two_tails(y: Array) -> Array:
-    """Return the log-likelihood ratio (samples,) of two tails to one, of increasing excesses y (samples, k).
+    """Return the log-likelihood ratio (samples,) of two tails to a single tail of excesses `y` (samples, k).
 
-    Of two tails, the largest excesses have an exponential one from the largest of the rest on. Their number is that of
-    `_LARGEST` with the largest ratio.
+    The excesses are in increasing order. The second tail is exponential, consists of the largest excesses, and begins
+    at the largest of the others. The number of its excesses is that in `_LARGEST` with the largest ratio.
     """
 
     def likelihood(largest: int) -> Array:
@@ -180,7 +182,10 @@ def two_tails(y: Array) -> Array:
 
 
 def _log_likelihood(y: Array, shape: Array, scale: Array) -> Array:
-    """Return the log-likelihood (shapes,); -inf if a value is beyond the end of the distribution."""
+    """Return the log-likelihood (shapes,) of excesses `y` (k,); -inf if one is beyond the end of the distribution.
+
+    `shape` and `scale` (shapes,) are those of generalised Pareto distributions.
+    """
     xi = np.where(np.abs(shape) < 1e-6, 1e-6, shape)  # an exponential distribution to rounding
     with np.errstate(divide="ignore", invalid="ignore"):
         inner = np.log1p(xi[:, None] * y / scale[:, None])
@@ -189,18 +194,21 @@ def _log_likelihood(y: Array, shape: Array, scale: Array) -> Array:
 
 
 def _excess_at(shape: float, scale: float, probability: Array | float) -> Array:
-    """Return the excess that is exceeded with a probability."""
+    """Return the excess of a generalised Pareto distribution that is exceeded with this probability."""
     return np.asarray(-scale * boxcox(probability, -shape))
 
 
 def _beyond(shape: Array | float, scale: Array | float, excess: Array | float) -> Array:
-    """Return the probability that an excess is exceeded; 0 beyond the end of the distribution."""
+    """Return the probability that this excess is exceeded; 0 beyond the end of the distribution."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.nan_to_num(inv_boxcox(-excess / scale, -shape), nan=0.0))
 
 
 def _last(holds: Callable[[float], bool], low: float, high: float) -> float:
-    """Return the end of a condition that holds at `low`; inf if it does not end below a `high` above 0."""
+    """Return the largest value of a condition that holds at `low`.
+
+    If the condition also holds at `high`, the result is `high`, or inf if `high` is positive.
+    """
     if holds(high):
         return math.inf if high > 0.0 else high
     return last(holds, low, high, 30)
@@ -213,7 +221,10 @@ def _share_farther(y: Array, shape: float, scale: float, samples: Array) -> floa
 
 
 def _distance(y: Array, shape: Array, scale: Array) -> Array:
-    """Return the Anderson-Darling distance (samples,) of increasing excesses from the distribution fitted to them."""
+    """Return the Anderson-Darling distances (samples,) of excesses `y` (samples, k) from their fitted distributions.
+
+    The excesses are in increasing order, and `shape` and `scale` are (samples,).
+    """
     k = y.shape[1]
     survival = np.clip(_beyond(shape[:, None], scale[:, None], y), 1e-15, 1.0 - 1e-15)
     weights = (2.0 * np.arange(1, k + 1) - 1.0) / k

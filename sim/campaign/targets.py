@@ -1,7 +1,7 @@
-"""Key paths of a scenario: the places that a dispersion changes, and the changed scenario.
+"""The targets of dispersions, which are given by key paths of a scenario, and the dispersed scenario.
 
-A key path is that of `--set`: vehicle.stage.0.engine.thrust_factor. It names a list's element by its number, and a
-table's column by its name (vehicle.stage.0.mass.table.x_cg_m).
+Key paths are those of `--set`, such as vehicle.stage.0.engine.thrust_factor. They give an element of a list by its
+index, and a column of a table by its name (vehicle.stage.0.mass.table.x_cg_m).
 """
 
 from __future__ import annotations
@@ -31,35 +31,35 @@ BOUNDS: dict[str, tuple[Callable[..., Any], str]] = {
     "lt": (np.less, "below"),
     "le": (np.less_equal, "at most"),
 }
-"""The constraints of pydantic that bound a number."""
+"""The bounds of numbers in pydantic, with their functions and their names in messages."""
 
 
 class Refused(Exception):
-    """The error of draws that make no possible scenario: the reason, with the key."""
+    """The error of draws that give no valid scenario, with the key and the reason as its message."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """A place of the scenario.
+    """A place of the scenario that a draw can change.
 
-    `nominal` is nan where the place holds no number; `kind` is the type of its content.
+    `kind` is the type of its content, and `nominal` its value, or nan if it has no single number.
     """
 
     key: str
     path: tuple[str | int, ...]
     kind: Literal["number", "integer", "text", "column", "table"]
     nominal: float
-    bounds: tuple[tuple[str, float], ...] = ()  # bounds of the schema: ("gt", 0.0)
+    bounds: tuple[tuple[str, float], ...] = ()  # bounds of the schema, such as ("gt", 0.0)
     whole_ns: bool = False
     columns: tuple[str, ...] = ()  # columns of the table that contains the column
 
     @property
     def is_angle(self) -> bool:
-        """Return True if both signs are equivalent: an angle or a rate of one."""
+        """Return True for an angle or an angular rate in degrees, for which both signs are plausible."""
         return any(isinstance(part, str) and "deg" in part.rpartition("_")[2] for part in self.path[-2:])
 
     def result(self, apply: Apply, draw: Array) -> Array:
-        """Return the changed number; for a column, the draw itself."""
+        """Return the changed numbers (runs,) for the draws `draw` (runs,); for a column, the draws themselves."""
         out = draw if self.kind == "column" else np.asarray(_applied(apply, self.nominal, draw))
         if self.kind == "integer":
             return np.rint(out)
@@ -69,7 +69,7 @@ class Target:
         return out
 
     def allowed(self, value: Array) -> np.ndarray:
-        """Return True where the schema's bounds hold."""
+        """Return a mask (runs,) of values within the range of the quantity and the bounds of the schema."""
         name = next(part for part in reversed(self.path) if isinstance(part, str))
         good = range_of("" if self.kind == "column" else name).holds(value)
         for mark, bound in self.bounds:
@@ -82,7 +82,7 @@ def _applied(apply: Apply, value: Any, draw: Any) -> Any:
 
 
 def find_target(scenario: Scenario, key: str) -> Target:
-    """Return the place that a key path names. Raises PydanticCustomError, see `refuse`."""
+    """Return the target at a key path. Raises PydanticCustomError if there is none."""
     path: list[str | int] = []
     at: Any = scenario
     parts = key.split(".")
@@ -155,7 +155,7 @@ def _column(scenario: Scenario, key: str, path: list[str | int], table: CsvTable
 
 @dataclass(frozen=True)
 class TargetChange:
-    """A target, and the effect of the draw named `draw` on it."""
+    """The change of a target by the draw named `draw`. Of a column, only the rows that match `where` are changed."""
 
     target: Target
     apply: Apply
@@ -164,7 +164,7 @@ class TargetChange:
 
 
 class Dispersed:
-    """The maker of the scenario of a run, which equals the one loaded from a file with the changed values."""
+    """The function that returns the scenario of a run, as if it were loaded from a file with the changed values."""
 
     def __init__(self, scenario: Scenario, changes: Iterable[TargetChange]) -> None:
         self._scenario = scenario
@@ -177,9 +177,9 @@ class Dispersed:
             node.setdefault(last, []).append(change)
 
     def __call__(self, values: Mapping[Any, Any]) -> Scenario:
-        """Return the scenario with the results of draws, by name, in place; values without a result are unchanged.
+        """Return the scenario with the results `values` of draws, by name; targets without a result are unchanged.
 
-        Raises Refused if such a scenario is not possible.
+        Raises Refused if the scenario is not valid.
         """
         if not self._tree:
             return self._scenario
@@ -194,10 +194,10 @@ class Dispersed:
 
 
 def _rebuilt(at: Any, node: Any, values: Mapping[Any, Any]) -> Any:
-    """Return the value with all changes below it.
+    """Return the value `at` with all changes in the tree `node`.
 
-    Changed sections are given as their fields, to be checked once, together. Unchanged parts are shared with the
-    original.
+    Changed sections are returned as dictionaries of their fields, for a single validation. Unchanged parts are shared
+    with the original.
     """
     if isinstance(node, list):
         change = node[0]
@@ -217,10 +217,10 @@ def _rebuilt(at: Any, node: Any, values: Mapping[Any, Any]) -> Any:
 
 
 def _absent(node: Any, values: Mapping[Any, Any]) -> None:
-    """Check that a section missing in a scenario, such as the wind or one of its gusts, is not changed by a draw.
+    """Raise Refused if a draw changes a section that is absent in the scenario, such as a gust.
 
-    The scenario is not always the campaign's own: the vehicle of a draw also flies in the calm air of its design.
-    Raises Refused for a result without a place.
+    The scenario is not always that of the campaign, because a dispersed vehicle also flies in the calm air of its
+    design.
     """
     if isinstance(node, list):
         if any(change.draw in values for change in node):

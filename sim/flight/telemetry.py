@@ -152,7 +152,7 @@ class MotionRow(NamedTuple):
     pitch_deg: Annotated[float, "deg", "Euler angle 3-2-1 of B relative to local NED: pitch"]
     roll_deg: Annotated[float, "deg", "Euler angle 3-2-1 of B relative to local NED: roll"]
     attitude_error_axis_deg: Annotated[
-        RollPitchYaw, "deg", "from the commanded to the true attitude at the last sample, tilt of x about B"
+        RollPitchYaw, "deg", "commanded to true attitude at the last sample, as roll and tilt of the x axis in B"
     ]
 
 

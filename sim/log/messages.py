@@ -1,12 +1,13 @@
-"""Messages of a log as protobuf without protoc: schemas built at run time, numbers encoded as NumPy arrays.
+"""The protobuf messages of a log, without protoc: schemas are built at run time, and numbers are encoded by NumPy.
 
-A message of a topic holds one `double` per channel, numbered 1, 2, ... in the order of the table. Every field is
-written, including zeros. Hence all messages of a topic have one size, and a block of messages is a structured array
-whose columns are tag bytes and values. The protobuf wire format is tag = field number << 3 | 1 as varint, then 8 bytes
-little-endian. The metadata of the MCAP channel contain unit, frame and description of a channel, which viewers display.
+A message of a topic contains a `double` for each channel, with field numbers 1, 2, ... in the order of the table. Every
+field is written, including zeros. All messages of a topic therefore have the same size, and a block of messages is a
+structured array with columns of tag bytes and values. In the protobuf wire format, a field consists of the tag, field
+number << 3 | 1 as a varint, and 8 bytes, little-endian. The metadata of the MCAP channel contain the unit, frame and
+description of each channel, which viewers display.
 
-Events and frames use messages that viewers support: `foxglove.Log`, `foxglove.FrameTransforms`. Names and field numbers
-are those of Foxglove's published protobuf schemas.
+Events and frames use messages that viewers support, `foxglove.Log` and `foxglove.FrameTransforms`. Their names and
+field numbers are those of Foxglove's published protobuf schemas.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ _Field = descriptor_pb2.FieldDescriptorProto
 _WIRE_TYPE_64_BIT = 1
 RECORD_PREFIX = struct.Struct("<BQ")  # MCAP record: opcode, length of the content
 MESSAGE_HEADER = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
-_ONE_BYTE_TAGS = 15  # fields 1..15 have tags of one byte, all others here of two
+_ONE_BYTE_TAGS = 15  # fields 1..15 have tags of one byte, all further fields of two
 
 
 def message_type(topic: Topic) -> str:
@@ -42,7 +43,7 @@ def message_type(topic: Topic) -> str:
 
 
 def schema_of(topic: Topic) -> bytes:
-    """Return the serialised FileDescriptorSet of the topic's message, with one double per channel."""
+    """Return the serialised FileDescriptorSet of a topic's message, which has a double for each channel."""
     name = topic.message_name
     file = descriptor_pb2.FileDescriptorProto(name=f"{PACKAGE}/{name}.proto", package=PACKAGE, syntax="proto3")
     message = file.message_type.add(name=name)
@@ -52,7 +53,7 @@ def schema_of(topic: Topic) -> bytes:
 
 
 def metadata_of(topic: Topic) -> dict[str, str]:
-    """Return rate group and description, and for each field a JSON object of unit, frame and description."""
+    """Return a topic's rate group and description, and the unit, frame and description of each channel as JSON."""
     metadata = {_GROUP: topic.group, _DESCRIPTION: topic.description}
     for channel in topic.channels:
         about = {"unit": channel.unit, "frame": channel.frame, "description": channel.description}
@@ -63,7 +64,8 @@ def metadata_of(topic: Topic) -> dict[str, str]:
 def topic_from(name: str, schema: bytes, metadata: Mapping[str, str], renamed: Mapping[str, str]) -> Topic:
     """Return the topic from which an MCAP channel was made.
 
-    `renamed`: parts of channel names, and their replacements. Raises ValueError if the parts are inconsistent.
+    `renamed` maps parts of channel names to their replacements. Raises ValueError if schema or metadata are invalid, or
+    do not match.
     """
     try:
         channels = []
@@ -77,14 +79,14 @@ def topic_from(name: str, schema: bytes, metadata: Mapping[str, str], renamed: M
 
 
 def serialise(files: Iterable[descriptor_pb2.FileDescriptorProto]) -> bytes:
-    """Return the bytes of a FileDescriptorSet, with the files in the order of their imports."""
+    """Return the serialised FileDescriptorSet of these files, which must be in the order of their imports."""
     return descriptor_pb2.FileDescriptorSet(file=files).SerializeToString(deterministic=True)
 
 
 def _field_names(schema: bytes) -> list[str]:
-    """Return the names of the fields of a topic's `schema_of`, in the order of their numbers.
+    """Return the field names in a schema made by `schema_of`, in the order of their numbers.
 
-    Raises ValueError unless the schema is such a flat message of doubles.
+    Raises ValueError unless the schema is a flat message of doubles.
     """
     try:
         files = descriptor_pb2.FileDescriptorSet.FromString(schema).file
@@ -99,7 +101,7 @@ def _field_names(schema: bytes) -> list[str]:
 
 
 def message_class(schema: bytes, full_name: str) -> type[Message]:
-    """Return a class for messages of one type of a serialised FileDescriptorSet."""
+    """Return a class for messages of the type `full_name` in a serialised FileDescriptorSet."""
     pool = descriptor_pool.DescriptorPool()
     for file in descriptor_pb2.FileDescriptorSet.FromString(schema).file:
         pool.Add(file)
@@ -107,9 +109,9 @@ def message_class(schema: bytes, full_name: str) -> type[Message]:
 
 
 def doubles_template(n_fields: int) -> NDArray[np.void]:
-    """Return one message of `n_fields` doubles as a structured array of length 1.
+    """Return a message of `n_fields` doubles as a structured array of length 1.
 
-    Tags are set, and values are to be filled. Raises ValueError outside 1..MOST_FIELDS.
+    The tags are set, and the values are 0. Raises ValueError unless `n_fields` is from 1 to MOST_FIELDS.
     """
     if not 1 <= n_fields <= MOST_FIELDS:
         raise ValueError(f"a message holds 1 to {MOST_FIELDS} channels, not {n_fields}")
@@ -123,19 +125,19 @@ def doubles_template(n_fields: int) -> NDArray[np.void]:
 
 
 def message_dtype(payload: np.dtype[np.void]) -> np.dtype[np.void]:
-    """Return the layout of a message record around a payload of fixed size."""
+    """Return the layout of a message record with a payload of fixed size."""
     head = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")]
     return np.dtype([*head, ("log_time", "<u8"), ("publish_time", "<u8"), ("payload", payload)])
 
 
 def put_values(messages: NDArray[np.void], values: Array) -> None:
-    """Write `values` (n, fields) into n messages of a `doubles_template`, bit by bit."""
+    """Copy `values` (n, fields) into n messages of a `doubles_template`, without a change of bits."""
     messages["narrow"]["value"] = values[:, :_ONE_BYTE_TAGS]
     messages["wide"]["value"] = values[:, _ONE_BYTE_TAGS:]
 
 
 def get_values(messages: NDArray[np.void], out: Array) -> None:
-    """Read n messages of a `doubles_template` into `out` (fields, n): a row per channel."""
+    """Copy the values of n messages of a `doubles_template` into `out` (fields, n), a row for each channel."""
     out[:_ONE_BYTE_TAGS] = messages["narrow"]["value"].T
     out[_ONE_BYTE_TAGS:] = messages["wide"]["value"].T
 
@@ -148,12 +150,12 @@ NS_PER_S = 1_000_000_000
 
 
 Level = IntEnum("Level", "UNKNOWN DEBUG INFO WARNING ERROR FATAL", start=0)
-"""The severity of an event, numbered as in foxglove.LogLevel."""
+"""The severity of an event, with the numbers of foxglove.LogLevel."""
 
 
 @dataclass(frozen=True)
 class EventMessage:
-    """An event at one instant; `source` is the component that reports it."""
+    """An event at an instant; `source` is the component that reports it."""
 
     time_ns: int
     level: Level
@@ -163,10 +165,10 @@ class EventMessage:
 
 @dataclass(frozen=True)
 class FramePath:
-    """The motion of the frame `child` relative to `parent`.
+    """The motion of the frame `child` relative to the frame `parent` at the times `times_ns` (n,).
 
-    `times_ns` (n,); `translation_m` (n, 3): origin of the child in parent components; `rotation` (n, 4): unit
-    quaternion, scalar first, that turns child components into parent components (q_BI for parent I, child B).
+    `translation_m` (n, 3) is the origin of the child in parent components. `rotation` (n, 4) is the unit quaternion
+    from child to parent components, scalar first (q_BI for parent I and child B).
     """
 
     parent: str
@@ -176,7 +178,7 @@ class FramePath:
     rotation: Array
 
 
-_TIMESTAMP = "google.protobuf.Timestamp"  # defined here, so that a log does not vary with the protobuf release
+_TIMESTAMP = "google.protobuf.Timestamp"  # defined here, so that logs do not depend on the protobuf release
 _MESSAGES: dict[str, dict[str, str | _Field.Type.ValueType]] = {
     _TIMESTAMP: {"seconds": _Field.TYPE_INT64, "nanos": _Field.TYPE_INT32},
     LOG_TYPE: {
@@ -198,11 +200,11 @@ _MESSAGES: dict[str, dict[str, str | _Field.Type.ValueType]] = {
     },
     FRAMES_TYPE: {"transforms": "foxglove.FrameTransform"},
 }
-"""The fields 1, 2, ... of each message by type: a scalar, or the name of a message or of the enumeration LogLevel."""
+"""The fields 1, 2, ... of each message with their types: a scalar, a message, or the enumeration LogLevel."""
 
 
 def _files_of(full_name: str) -> dict[str, descriptor_pb2.FileDescriptorProto]:
-    """Return the file of a message or enumeration after the files that it imports, by type."""
+    """Return, by type, the files that a message or enumeration imports, followed by its own file."""
     package, _, name = full_name.rpartition(".")
     fields = _MESSAGES.get(full_name, {})
     files: dict[str, descriptor_pb2.FileDescriptorProto] = {}
@@ -231,12 +233,12 @@ def _files_of(full_name: str) -> dict[str, descriptor_pb2.FileDescriptorProto]:
 
 LOG_SCHEMA = serialise(_files_of(LOG_TYPE).values())
 FRAMES_SCHEMA = serialise(_files_of(FRAMES_TYPE).values())
-_LogMessage: Any = message_class(LOG_SCHEMA, LOG_TYPE)  # its attributes are known at run time only
+_LogMessage: Any = message_class(LOG_SCHEMA, LOG_TYPE)  # has attributes that type checkers cannot find
 _FramesMessage: Any = message_class(FRAMES_SCHEMA, FRAMES_TYPE)
 
 
 def encode_event(event: EventMessage) -> NDArray[np.void]:
-    """Return one message, as an array of length 1."""
+    """Return an event as a foxglove.Log message, in an array of length 1."""
     message = _LogMessage(level=int(event.level), message=event.text, name=event.source)
     message.timestamp.seconds, message.timestamp.nanos = divmod(event.time_ns, NS_PER_S)
     data = bytes(message.SerializeToString(deterministic=True))
@@ -244,7 +246,7 @@ def encode_event(event: EventMessage) -> NDArray[np.void]:
 
 
 def decode_event(payload: bytes) -> EventMessage:
-    """Return the event; raise ValueError if the bytes are not a foxglove.Log with a known level."""
+    """Return the event in a payload. Raises ValueError if it is not a foxglove.Log with a known level."""
     try:
         message = _LogMessage.FromString(payload)
     except DecodeError as error:
@@ -254,10 +256,10 @@ def decode_event(payload: bytes) -> EventMessage:
 
 
 def frames_template(parent: str, child: str) -> NDArray[np.void]:
-    """Return one FrameTransforms message of one transform as a structured array of length 1, with numbers to be filled.
+    """Return a FrameTransforms message with a single transform as a structured array of length 1.
 
-    Times are varints of five bytes, which every protobuf parser accepts for smaller numbers too. Hence all messages of
-    a pair of frames have one size.
+    `put_frames` fills in its numbers. Times are varints of five bytes, which every protobuf parser accepts for smaller
+    numbers, too. All messages of a pair of frames therefore have the same size.
     """
     message = _FramesMessage()
     transform = message.transforms.add(parent_frame_id=parent, child_frame_id=child)
@@ -280,7 +282,10 @@ def frames_template(parent: str, child: str) -> NDArray[np.void]:
 
 
 def put_frames(messages: NDArray[np.void], times_ns: IntArray, translation_m: Array, rotation: Array) -> None:
-    """Fill n messages of a `frames_template`; `rotation` is scalar first and is stored scalar last."""
+    """Write times (n,), translations (n, 3) and rotations (n, 4) into n messages of a `frames_template`.
+
+    The quaternions are scalar first here, and scalar last in the messages.
+    """
     messages["seconds"] = _five_byte_varints(times_ns // NS_PER_S)
     messages["nanos"] = _five_byte_varints(times_ns % NS_PER_S)
     messages["translation"]["value"] = translation_m
@@ -288,7 +293,7 @@ def put_frames(messages: NDArray[np.void], times_ns: IntArray, translation_m: Ar
 
 
 def _five_byte_varints(numbers: IntArray) -> NDArray[np.uint8]:
-    """Return (n, 5) bytes; five groups of seven bits hold any second of an int64 time in nanoseconds."""
+    """Return the varints (n, 5) of numbers (n,) below 2^35, which include every second of an int64 time in ns."""
     groups: NDArray[np.uint8] = ((numbers[:, None] >> np.array([0, 7, 14, 21, 28])) & 0x7F).astype(np.uint8)
     groups[:, :4] |= 0x80
     return groups

@@ -1,9 +1,9 @@
-"""The reader of a flight's log into arrays, including truncated and damaged files.
+"""The reader of a flight's log into arrays, also of a truncated or damaged log.
 
-The `mcap` package parses records. Its readers stop at the first flaw of a file and return messages one by one. This
+The `mcap` package parses records. Its readers stop at the first flaw of a file and return messages individually. This
 module finds the records in a damaged file, and reads the messages of a chunk as arrays. The writer of maxq keeps the
-messages of a topic together, so a chunk consists of a few runs of equally long records. Other tools may reorder the
-messages, so a run may be as short as one message. Format: MCAP specification, https://mcap.dev/spec.
+messages of a topic together, so that a chunk consists of a few runs of records of equal length. Other tools may reorder
+the messages, so that a run may be as short as one message. Format: MCAP specification, https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from maxq.sim.log.messages import RECORD_PREFIX
 from maxq.sim.log.tabular import Tabular
 
 _HEAD_OPCODES = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA)
-_RUN_PREFIX = struct.Struct("<BQH")  # the part of the header that all messages of a run share
-_FIRST_BLOCK = 64  # records compared at once at first
+_RUN_PREFIX = struct.Struct("<BQH")  # the part of the header that is equal for all messages of a run
+_FIRST_BLOCK = 64  # records in the first comparison
 _FOOTER_SIZE = RECORD_PREFIX.size + 20
 _LAST_OPCODE = max(Opcode)
 _UNREADABLE = (
@@ -54,9 +54,9 @@ _UNREADABLE = (
     RuntimeError,  # from lz4
 )
 MOST_CHUNK_BYTES = 1 << 28
-"""The largest size of a chunk's content; maxq's chunks hold a second of flight, about a megabyte."""
+"""The largest size of a chunk's content, bytes; the chunks of maxq contain a second of flight, about a megabyte."""
 MOST_LOG_BYTES = 1 << 34
-"""The largest size of the content of all chunks: a thousand times a flight of 400 s."""
+"""The largest size of the content of all chunks, bytes, which is a thousand times that of a flight of 400 s."""
 
 
 class DamagedError(ValueError):
@@ -67,7 +67,8 @@ class DamagedError(ValueError):
 class LoggedRun:
     """The facts about a run in its log, without the flight itself.
 
-    `end`: status, reason and result of the run (see `LogWriter.close`), or empty if the file is truncated.
+    `end` contains the status, reason and result of the run (see `LogWriter.close`). It is empty if its record is
+    missing or damaged.
     """
 
     path: Path
@@ -78,10 +79,11 @@ class LoggedRun:
 
 @dataclass(frozen=True, repr=False)
 class Log(LoggedRun, Tabular):
-    """The log of one flight.
+    """The log of a flight.
 
-    `log["alpha_deg"]` returns a channel's values (n,), `log.time_s("alpha_deg")` their times. `complete` is False if
-    the run or the file ended early or a part of the file is damaged. `notes` then give the reasons, one sentence each.
+    `log["alpha_deg"]` returns the values (n,) of a channel, and `log.time_s("alpha_deg")` their times (n,). `complete`
+    is False if the run or the file ended early, or if a part of the file is damaged. `notes` then contains the reasons,
+    one sentence each.
     """
 
     table: ChannelTable
@@ -92,7 +94,7 @@ class Log(LoggedRun, Tabular):
     _values: Mapping[str, Mapping[str, Array]]
 
     def __getitem__(self, name: str) -> Array:
-        """Return the values (n,) of a channel; raise KeyError with the closest name if there is none."""
+        """Return the values (n,) of a channel; raise KeyError with the closest name for an unknown channel."""
         return self._values[self._topic(name)][name]
 
     def __contains__(self, name: str) -> bool:
@@ -105,20 +107,20 @@ class Log(LoggedRun, Tabular):
         return f"<Log {self.path}: {scenario}, {end:.3f} s, {len(self.table.names)} channels, {whole}>"
 
     def channel(self, name: str) -> Channel:
-        """Return unit, frame and description of a channel; raise KeyError as above."""
+        """Return the unit, frame and description of a channel; raise KeyError for an unknown channel."""
         self._topic(name)
         return self.table.channel(name)
 
     def time_ns(self, name: str) -> IntArray:
-        """Return the times (n,) of a channel or topic, in ns since the start; raise KeyError as above."""
+        """Return the times (n,) of a channel or topic, ns; raise KeyError for an unknown name."""
         return self._times_ns[self._topic(name)]
 
     def time_s(self, name: str) -> Array:
-        """Return the times (n,) of a channel or topic, in s since the start; raise KeyError as above."""
+        """Return the times (n,) of a channel or topic, s; raise KeyError for an unknown name."""
         return self.time_ns(name) / 1e9
 
     def _topic(self, name: str) -> str:
-        """Return the name of the topic of this name, or of the topic that holds the channel of this name."""
+        """Return the name of the topic with this name, or of the topic that contains the channel with this name."""
         if name in self._times_ns:
             return name
         if name in self.table:
@@ -127,10 +129,10 @@ class Log(LoggedRun, Tabular):
 
 
 def read_log(path: str | Path) -> Log:
-    """Read a whole log, including all intact chunks of a truncated or damaged file.
+    """Return the log in a file, with all intact chunks of a truncated or damaged file.
 
-    Raises LogError if the file cannot be read, is not a log of maxq, or was written by a later maxq. Also raises
-    LogError if the file is damaged or truncated within its head, because its content is then unknown.
+    Raises LogError if the file cannot be read, is no log of maxq, or has an unknown schema. Also raises LogError if the
+    file is truncated within its head or if the head cannot be parsed, because the content is then unknown.
     """
     file = _LogFile(Path(path))
     if not file.intact:
@@ -153,9 +155,9 @@ def read_log(path: str | Path) -> Log:
 
 
 def read_run(path: str | Path) -> LoggedRun:
-    """Read the facts about a run from its log, without the flight.
+    """Return the facts about a run from its log, without the flight.
 
-    Raises LogError as `read_log` does, and if the head is damaged.
+    Raises LogError if `read_log` does, and if the checksum of the head is wrong.
     """
     file = _LogFile(Path(path))
     if not file.intact:
@@ -164,10 +166,10 @@ def read_run(path: str | Path) -> LoggedRun:
 
 
 class _LogFile:
-    """The bytes of a log, its head, the places of its chunks, and the record of the run's end.
+    """The bytes of a log, its head, the positions of its chunks, and the record of the run's end.
 
-    `intact`: True if the head's checksum matches. `end` is empty if it is missing. `notes` list the damage. Raises
-    LogError.
+    `intact` is True if the head's checksum matches. `end` is empty if its record is missing. `notes` lists the damage.
+    The constructor raises LogError.
     """
 
     def __init__(self, path: Path) -> None:
@@ -191,9 +193,9 @@ class _LogFile:
             self._chunks = self._chunks_from(head_end)
 
     def _read_head(self) -> int:
-        """Read the head, and return the offset behind it.
+        """Read the head, and return the offset of its end.
 
-        Raises ValueError, with a message to follow the file's name.
+        Raises ValueError with a message that follows the name of the file.
         """
         data = self._data
         if not data.startswith(MAGIC):
@@ -233,7 +235,7 @@ class _LogFile:
         if not end:
             raise ValueError("the log is cut off or damaged within its head: nothing of the flight can be read")
         renamed = keys.NAMES_OF_SCHEMA_1 if schema == "1" else {}
-        self._topics: dict[int, Topic | str] = {}  # by MCAP channel; only the name for /events and /tf
+        self._topics: dict[int, Topic | str] = {}  # by MCAP channel; names only for /events and /tf
         try:
             for c in channels:
                 self._topics[c.id] = c.topic
@@ -247,9 +249,9 @@ class _LogFile:
         return end
 
     def _indexed_chunks(self) -> list[tuple[int, int]]:
-        """Return start and end of all chunks from the index at the end of the file.
+        """Return the start and end of all chunks from the index at the end of the file, and read the record `end`.
 
-        The record of the run's end is read too. Raises DamagedError where the index is missing or damaged.
+        Raises DamagedError if the index is missing or damaged.
         """
         summary, size = _summary(self._data), len(self._data)
         places = [(i.chunk_start_offset, i.chunk_start_offset + i.chunk_length) for i in summary.chunk_indexes]
@@ -267,7 +269,7 @@ class _LogFile:
         return places
 
     def _chunks_from(self, start: int) -> list[tuple[int, int]]:
-        """Return start and end of the intact chunks, record by record from byte `start` on."""
+        """Return the start and end of all complete chunks, found record by record from byte `start` on."""
         chunks, last = [], start
         for opcode, begin, end in _frames(self._data, start):
             if opcode == Opcode.DATA_END:
@@ -279,9 +281,10 @@ class _LogFile:
         return chunks
 
     def columns(self) -> tuple[list[m.EventMessage], dict[str, IntArray], dict[str, dict[str, Array]]]:
-        """Return the events, the times (n,) by topic, and the values (n,) by topic and channel, each contiguous.
+        """Return the events, the times (n,) by topic, ns, and the contiguous values (n,) by topic and channel.
 
-        Damaged chunks are omitted and noted. The numbers of a chunk are copied at once, while they are in the cache.
+        Damaged chunks are omitted and listed in `notes`. The numbers of a chunk are copied immediately, while they are
+        in the processor's cache. Raises LogError above MOST_LOG_BYTES.
         """
         events: list[m.EventMessage] = []
         parts: dict[str, list[tuple[IntArray, Array]]] = {topic.name: [] for topic in self.table.topics}
@@ -311,7 +314,7 @@ class _LogFile:
         return events, times_ns, values
 
     def _chunk_columns(self, content: bytes) -> tuple[list[m.EventMessage], list[tuple[str, tuple[IntArray, Array]]]]:
-        """Return the events of a chunk, and by topic times (n,) and values (channels, n). Raises ValueError."""
+        """Return the events of a chunk, and its topics with times (n,) and values (channels, n). Raises ValueError."""
         events: list[m.EventMessage] = []
         parts = []
         for channel_id, runs in _message_runs(content).items():
@@ -330,7 +333,7 @@ class _LogFile:
 
 
 def _frames(data: bytes, start: int) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, start and end of whole records, up to the first that is truncated or has an impossible opcode."""
+    """Yield the opcode, start and end of each record up to the first that is truncated or has an invalid opcode."""
     while start + RECORD_PREFIX.size <= len(data):
         opcode, length = RECORD_PREFIX.unpack_from(data, start)
         end = start + RECORD_PREFIX.size + length
@@ -341,7 +344,7 @@ def _frames(data: bytes, start: int) -> Iterator[tuple[int, int, int]]:
 
 
 class _Content(BytesIO):
-    """A stream with a strict end: reading beyond it is an error, where mcap would return the remaining bytes."""
+    """A stream that raises DamagedError on reading beyond its end, instead of returning the remaining bytes."""
 
     def read(self, size: int | None = -1) -> bytes:
         data = super().read(size)
@@ -351,7 +354,7 @@ class _Content(BytesIO):
 
 
 def _parse(data: bytes, start: int, end: int) -> McapRecord:
-    """Return the record between two bytes. Raises DamagedError if there is none."""
+    """Return the record from byte `start` to byte `end`. Raises DamagedError if it is invalid."""
     try:
         if RECORD_PREFIX.unpack_from(data, start)[1] != end - start - RECORD_PREFIX.size:
             raise DamagedError("its length is wrong")
@@ -361,7 +364,7 @@ def _parse(data: bytes, start: int, end: int) -> McapRecord:
 
 
 def _summary(data: bytes) -> Summary:
-    """Return the summary section. Raises DamagedError if it is missing or fails its checksum."""
+    """Return the summary section. Raises DamagedError if it is missing, damaged, or fails its checksum."""
     end = len(data) - len(MAGIC) - _FOOTER_SIZE
     try:
         footer = Footer.read(ReadDataStream(_Content(data[max(end, 0) + RECORD_PREFIX.size :])))
@@ -376,7 +379,10 @@ def _summary(data: bytes) -> Summary:
 
 
 def _chunk_content(data: bytes, start: int, end: int) -> bytes:
-    """Return the decompressed and checked content of the chunk between two bytes. Raises DamagedError."""
+    """Return the decompressed and verified content of the chunk from byte `start` to byte `end`.
+
+    Raises DamagedError.
+    """
     chunk = _parse(data, start, end)
     if not isinstance(chunk, Chunk):
         raise DamagedError("its first byte is wrong")
@@ -397,25 +403,28 @@ def _chunk_content(data: bytes, start: int, end: int) -> bytes:
 
 
 def _decompressed(chunk: Chunk) -> bytes:
-    """Return the content of a chunk, limited to the size that the chunk declares."""
+    """Return the decompressed content of a chunk, with a limit that prevents more than the declared size.
+
+    For lz4, the limit is one byte more. Raises DamagedError for another size or an unknown compression.
+    """
     size = chunk.uncompressed_size
     if chunk.compression == "":
         return bytes(chunk.data)
     if chunk.compression == "zstd":
-        if zstandard.frame_content_size(chunk.data) not in (size, -1):  # known, it would count for more than `size`
+        if zstandard.frame_content_size(chunk.data) not in (size, -1):  # it overrides max_output_size
             raise DamagedError("its size does not match")
         return zstandard.decompress(chunk.data, max_output_size=size)
     if chunk.compression == "lz4":
-        from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415  # lazy: we write zstd; it comes with mcap
+        from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415  # lazy: maxq writes zstd; mcap installs lz4
 
         return bytes(LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1))
     raise DamagedError(f"its compression {chunk.compression!r} is not known")
 
 
 def _message_runs(content: bytes) -> dict[int, list[range]]:
-    """Return the places of the messages of each channel in a chunk's content.
+    """Return, by channel, the runs of messages of equal size in a chunk's content.
 
-    They are runs of equal size, each given by the starts of its messages. Raises DamagedError.
+    A run is the range of the starts of its messages. Raises DamagedError.
     """
     runs: dict[int, list[range]] = {}
     position, end = 0, len(content)
@@ -438,9 +447,9 @@ def _message_runs(content: bytes) -> dict[int, list[range]]:
 
 
 def _run_length(content: bytes, start: int, size: int) -> int:
-    """Return the number of records from `start` on with the same opcode, length and channel.
+    """Return the number of consecutive records from `start` on with the same opcode, length and channel.
 
-    The function compares blocks of increasing size, because short runs are common in files rewritten by other tools.
+    Blocks of increasing size are compared, because short runs are common in files rewritten by other tools.
     """
     prefix = content[start : start + _RUN_PREFIX.size]
     count, block = 1, _FIRST_BLOCK
@@ -457,7 +466,7 @@ def _run_length(content: bytes, start: int, size: int) -> int:
 
 
 def _gather(content: bytes, runs: list[range], layout: np.dtype[np.void]) -> NDArray[np.void]:
-    """Return the messages of one channel as an array of `layout`. Raises DamagedError if one has another size."""
+    """Return the messages (n,) of a channel as an array of `layout`. Raises DamagedError for a different size."""
     if any(run.step != layout.itemsize for run in runs):
         raise DamagedError("a message does not have the size of its schema")
     if len(runs) == 1:

@@ -1,4 +1,4 @@
-"""Channels as tables: the common part of a flight and its log."""
+"""The export of channels as tables, for a flight and for its log."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 
 
 class Tabular(ABC):
-    """A source of channels by name, a flight or its log, with exports to tables and files.
+    """A source of channels by name, such as a flight or its log, with exports to tables and files.
 
-    `names` are channels or topics ("/truth"); without names all are exported. Raises KeyError for an unknown name.
+    In its methods, `names` are channels or topics ("/truth"); without names, all channels are exported. Raises KeyError
+    for an unknown name.
     """
 
     table: ChannelTable
@@ -44,13 +45,13 @@ class Tabular(ABC):
         return self.table.names
 
     def topic(self, name: str) -> Mapping[str, Array]:
-        """Return all channels of a topic by name; raise KeyError with the existing names if there is none."""
+        """Return the values (n,) of all channels of a topic, by name; raise KeyError for an unknown topic."""
         return {channel: self[channel] for channel in self.channels_in((name,))}
 
     def to_pandas(self, *names: str) -> pd.DataFrame:
         """Return a data frame with a column for each channel over `time_s`.
 
-        Channels of the slower rate are NaN between their times. pandas must be installed.
+        Channels of a slower rate are NaN between their times. Requires pandas.
         """
         import pandas as pd  # noqa: PLC0415  # optional: nothing here needs it
 
@@ -63,7 +64,7 @@ class Tabular(ABC):
     def to_xarray(self, *names: str) -> Any:
         """Return the table of `to_pandas` as an `xarray.Dataset`, with the unit and description of each channel.
 
-        xarray must be installed.
+        Requires pandas and xarray.
         """
         data = self.to_pandas(*names).to_xarray()
         for name in data:
@@ -72,9 +73,9 @@ class Tabular(ABC):
         return data
 
     def to_csv(self, path: str | Path, *names: str) -> Path:
-        """Write a CSV file of `time_s` and a column for each channel, with all digits.
+        """Write a CSV file with `time_s` and a column for each channel, with all digits, and return its path.
 
-        A column is empty where a slower channel has no value. Raises FileError if the file cannot be written.
+        Cells are empty where a slower channel has no value. Raises FileError if the file cannot be written.
         """
         groups = self._groups(names)
         times = np.unique(np.concatenate([self.time_s(group[0]) for group in groups]))
@@ -91,7 +92,7 @@ class Tabular(ABC):
         return Path(path)
 
     def channels_in(self, names: Sequence[str]) -> list[str]:
-        """Return the channels named, and those of the topics named, each once. Raises KeyError for an unknown name."""
+        """Return the names of channels for names of channels and topics, without repetition. Raises KeyError."""
         known = {topic.name: [channel.name for channel in topic.channels] for topic in self.table.topics}
         for name in names:
             if name not in known and name not in self.table:
@@ -104,7 +105,7 @@ class Tabular(ABC):
         return KeyError(f"no channel or topic {name}; {hint}")
 
     def _groups(self, names: Sequence[str]) -> list[list[str]]:
-        """Return the channels in groups of one rate."""
+        """Return the names of the channels (default: all), grouped by rate."""
         wanted, groups = self.channels_in(names) if names else list(self.table.names), dict[str, list[str]]()
         for name in wanted:
             groups.setdefault(self.table.topic(name).group, []).append(name)
@@ -112,7 +113,7 @@ class Tabular(ABC):
 
 
 def html_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table for a notebook."""
+    """Return an HTML table with a title for a notebook."""
     cells = [[html.escape(cell) for cell in row] for row in (head, *rows)]
     lines = [
         "".join(f"<{tag}>{cell}</{tag}>" for cell in row)

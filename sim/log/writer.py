@@ -1,9 +1,9 @@
 """The writer of a flight's log, an MCAP file for Rerun, Foxglove and PlotJuggler.
 
-Equal input gives equal bytes with the same releases of maxq and of the zstd library, so a log's hash serves as a
-regression test. The head comes first, so that a file truncated anywhere behind it can still be read and its flight
-repeated. Then follow a chunk for each second of simulated time, or for each call if calls are more frequent, and the
-summary.
+Equal input gives equal bytes with the same releases of maxq and of the zstd library, so that the hash of a log can
+serve as a regression test. The head comes first. A file that is truncated anywhere after the head can therefore be
+read, and its flight can be repeated. The head is followed by a chunk for each second of simulated time, or for each
+call if calls are more frequent, and by the summary.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from maxq.sim.log import head as keys
 from maxq.sim.log import messages as m
 from maxq.sim.log.head import LogError, RunHead, maxq_version
 
-_LEVEL = 1  # zstd level: noisy numbers hardly compress, so higher levels cost time and save little space
+_LEVEL = 1  # zstd level; for noisy numbers, higher levels take more time and save little space
 _SUMMARY_ORDER = (
     Opcode.SCHEMA,
     Opcode.CHANNEL,
@@ -43,14 +43,14 @@ _SUMMARY_ORDER = (
 _INDEX_HEADER = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
 
 Put = Callable[..., None]
-"""The writer of columns of numbers, a row for each message, into the payloads of messages."""
+"""A function that writes columns of numbers, with a row for each message, into the payloads of messages."""
 
 
 class LogWriter:
-    """The writer of one log, a context manager.
+    """The writer of a log, a context manager.
 
-    If the block ends with an exception, the log is still closed properly and records that the run was aborted and why.
-    Raises LogError if the file cannot be written.
+    If the block ends with an exception, the log is closed properly, and its end record has the status "aborted" and the
+    reason. Raises LogError if the file cannot be written.
     """
 
     def __init__(self, path: str | Path, table: ChannelTable, head: RunHead) -> None:
@@ -68,7 +68,7 @@ class LogWriter:
     def _write_head(self, head: RunHead) -> None:
         add_channel = self._container.add_channel
         self._container.add_metadata(keys.RUN_METADATA, head.full_metadata())
-        self._templates: dict[str, tuple[int, NDArray[np.void]]] = {}  # channel and message, by topic
+        self._templates: dict[str, tuple[int, NDArray[np.void]]] = {}  # channel id and message, by topic
         for t in self._table.topics:
             channel_id = add_channel(t.name, m.message_type(t), m.schema_of(t), m.metadata_of(t))
             self._templates[t.name] = channel_id, m.doubles_template(len(t.channels))
@@ -88,13 +88,14 @@ class LogWriter:
             self.close(error)
         except LogError:
             if error is None:
-                raise  # else the first error matters, and the chunks written so far can be read
+                raise  # otherwise, the first error matters, and the chunks written before it can be read
 
     def close(self, error: BaseException | None = None, result: Mapping[str, str] | None = None) -> None:
-        """Write the end of the log, with the reason if the run was aborted; a second call has no effect.
+        """Write the end of the log, with the reason if `error` aborted the run; a second call has no effect.
 
-        `result`: the run's final results (outcome, state hash, ...), stored in addition to the status. The keys
-        `status` and `reason` are rejected with ValueError.
+        `result` contains the final results of the run (outcome, state hash and so on), which are stored in addition to
+        the status. Raises ValueError if it has the keys `status` or `reason`, and LogError if the file cannot be
+        written.
         """
         taken = {keys.STATUS_KEY, keys.REASON_KEY}.intersection(result or {})
         if taken:
@@ -113,13 +114,13 @@ class LogWriter:
         events: Sequence[m.EventMessage] = (),
         frames: Sequence[m.FramePath] = (),
     ) -> None:
-        """Append samples, events and frames, in one chunk for each second of simulated time.
+        """Append samples, events and frames, in a chunk for each second of simulated time.
 
-        `groups`: for each rate group its times (n,) in ns and its values (n, columns of the group), both in the order
-        of the table. Times start at or after 0 and do not decrease, within a call and from call to call. `frames` go to
-        /tf, `events` to /events.
+        `groups` contains, for each rate group, times (n,) in ns and values (n, columns of the group) with columns in
+        the order of the table. Times start at or after 0 and do not decrease; the times of a group also do not decrease
+        from call to call. `frames` are written to /tf, and `events` to /events.
 
-        Raises ValueError for arrays that do not fit the table, LogError if the file cannot be written.
+        Raises ValueError for arrays that do not match the table, and LogError if the file cannot be written.
         """
         if not self._container.usable:
             raise LogError(f"{self.path}: the log is closed")
@@ -164,7 +165,7 @@ class LogWriter:
 
 @contextmanager
 def _log_errors(path: Path) -> Iterator[None]:
-    """Convert errors of the system into LogError."""
+    """Raise an OSError in the block as LogError."""
     try:
         yield
     except OSError as error:
@@ -179,9 +180,9 @@ def _check_times(what: str, times_ns: IntArray, earliest: int = 0) -> None:
 
 
 def message_block(channel_id: int, template: NDArray[np.void], times_ns: IntArray) -> NDArray[np.void]:
-    """Return records (n,) of messages of a channel at these times, ready for a chunk, which numbers them.
+    """Return the message records (n,) of a channel at the times `times_ns` (n,), for a chunk, which numbers them.
 
-    Their payloads differ from `template` only in numbers, which the caller fills.
+    All payloads are copies of `template`, into which the caller writes the numbers.
     """
     n, layout = len(times_ns), m.message_dtype(template.dtype)
     length = layout.itemsize - m.RECORD_PREFIX.size
@@ -199,17 +200,17 @@ def encode(*records: mcap_records.McapRecord) -> bytes:
 
 
 class Container:
-    """The writer of records in order, which collects the summary and passes every chunk on to the system.
+    """The writer of an MCAP file, which collects the summary and passes every chunk to the operating system at once.
 
-    The file contains nothing from the clock or the machine. `usable` is False after closing, and after an error in the
-    middle of a chunk. A reader could not find records written after such an error.
+    The content does not depend on the clock or the machine. `usable` is False after closing, and after an error inside
+    a chunk, because a reader could not find records after such an error.
     """
 
     def __init__(self, path: Path, profile: str, library: str) -> None:
-        self._file = io.FileIO(path, "w")  # not buffered: written data survive the end of this process
+        self._file = io.FileIO(path, "w")  # not buffered, so that written data survive the end of this process
         self.usable = True
         self.size = 0
-        self.crc = 0  # CRC of all bytes so far; the data section ends with it
+        self.crc = 0  # CRC-32 of all bytes so far; the data section ends with it
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
         self._summary: dict[Opcode, list[mcap_records.McapRecord]] = {opcode: [] for opcode in _SUMMARY_ORDER}
         self._counts: dict[int, int] = {}  # number of messages by channel
@@ -217,7 +218,7 @@ class Container:
         self._write(MAGIC + encode(mcap_records.Header(profile, library)))
 
     def add_channel(self, topic: str, message_type: str, schema: bytes, metadata: dict[str, str]) -> int:
-        """Add a channel of protobuf messages with its schema, and return its id."""
+        """Write a channel of protobuf messages with its schema, and return its id."""
         number = len(self._counts) + 1
         records = (
             mcap_records.Schema(id=number, name=message_type, encoding="protobuf", data=schema),
@@ -243,7 +244,7 @@ class Container:
         self._write(record)
 
     def add_chunk(self, blocks: Sequence[NDArray[np.void]]) -> None:
-        """Add one chunk of messages (`message_block`), numbered consecutively by channel, and its message indexes."""
+        """Write a chunk of messages (`message_block`), numbered consecutively by channel, and its message indexes."""
         self.usable = False
         for block in blocks:
             channel_id = int(block["channel"][0])
@@ -277,7 +278,7 @@ class Container:
         self.usable = True
 
     def finish(self) -> None:
-        """Write the end of the data section and the summary."""
+        """Write the end of the data section, the summary and the footer."""
         self._write(encode(mcap_records.DataEnd(self.crc)))
         start, summary, offsets = self.size, b"", []
         self._summary[Opcode.STATISTICS] = [self._statistics()]
@@ -288,7 +289,7 @@ class Container:
             summary += group
         offsets_start = start + len(summary)
         summary += encode(*offsets)
-        beginning = encode(mcap_records.Footer(start, offsets_start, 0))[:-4]  # part of the footer under the checksum
+        beginning = encode(mcap_records.Footer(start, offsets_start, 0))[:-4]  # part of the footer in the checksum
         footer = mcap_records.Footer(start, offsets_start, zlib.crc32(beginning, zlib.crc32(summary)))
         self._write(summary + encode(footer) + MAGIC)
 
@@ -318,7 +319,7 @@ class Container:
 
 
 def _message_indexes(blocks: Sequence[NDArray[np.void]]) -> dict[int, bytes]:
-    """Return a message index record per channel: time and place in the chunk of each message, in order of time."""
+    """Return, by channel, a record with the time and the position in the chunk of each message, in order of time."""
     entries: dict[int, list[NDArray[np.uint64]]] = {}
     position = 0
     for block in blocks:

@@ -1,4 +1,4 @@
-"""The flight computer, design, guidance and injected signals of a scenario as records."""
+"""The records of a scenario's flight computer, design, guidance and injected signals."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _IN_RADIANS = ("gimbal_command", "rate_command")
 
 
 def pack_computers(scenario: Scenario, pool: Pool) -> list[Computer]:
-    """Return the computer of each stage; a stage without one of its own continues with that of the previous stage."""
+    """Return the computer of each stage; a stage with the computer and design of its predecessor continues with it."""
     out: list[Computer] = []
     for n, stage in enumerate(scenario.vehicle.stage):
         goes_on = scenario.design is None or not scenario.design.stage
@@ -70,7 +70,8 @@ def pack_computers(scenario: Scenario, pool: Pool) -> list[Computer]:
 def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
     """Return the computer of a stage under the scenario's switches.
 
-    Without a computer or a design the gimbal command is zero, except for injected signals, and is sampled every step.
+    Without a computer in the vehicle, the gimbal command is zero except for injected signals. It is then sampled in
+    every step, or every `LONGEST_S` if run.accuracy is given and no signal is injected.
     """
     computer, switches = scenario.vehicle.computer_of(stage), scenario.switches
     design = scenario.design.of_stage(stage) if scenario.design is not None else None
@@ -145,7 +146,7 @@ def _gains(gains: GainsSection) -> Cubics:
 
 
 def gain_schedules(gains: GainsSection) -> tuple[GainSchedule, GainSchedule]:
-    """Return the gains in pitch and in yaw; the same object if yaw uses the gains of pitch."""
+    """Return the gains in pitch and in yaw, which are the same object if yaw uses the gains of pitch."""
     pitch, yaw = gains.axes
     names = [name for name in GainSchedule.__dataclass_fields__ if name in pitch]
 
@@ -166,7 +167,7 @@ def _moving_filter(given: FilterSection, sample_s: float, pool: Pool) -> MovingF
 
 
 def bending_filter(design: Design) -> FilterSchedule:
-    """Return the design's continuous filter over the flight."""
+    """Return the design's continuous bending filter over its scheduling variable."""
     return design.filter.scheduled()
 
 
@@ -187,7 +188,7 @@ def _programme(table: CsvTable | None, method: Method) -> Cubics | None:
 
 
 def pack_burns(scenario: Scenario, stage: Stage, ignition_ns: int) -> Burns:
-    """Return the burns of the last engine, which is first ignited at this time of flight."""
+    """Return the burns of the last engine, which is first ignited at the flight time `ignition_ns`."""
     guidance, earth = scenario.guidance, pack_earth(scenario.earth)
     if not any(guidance.ends) or ignition_ns >= NEVER:
         return Burns()
@@ -208,7 +209,7 @@ def pack_burns(scenario: Scenario, stage: Stage, ignition_ns: int) -> Burns:
 
 
 def _burn(end: OrbitTarget | Cutoff | None, start: Restart, earth: Earth, lead_s: float) -> GuidedBurn:
-    """Return one burn: what it ends at, and its start after a coast."""
+    """Return a burn from its target `end`, its `start` after a coast, and the lead of the cutoff command, s."""
     orbit = OrbitGuidance(
         rate_limit_radps=math.radians(COAST_RATE_degps),
         mu_m3ps2=earth.mu_m3ps2,
@@ -250,7 +251,7 @@ def _orbit_guidance(target: OrbitTarget, orbit: OrbitGuidance, earth: Earth) -> 
 
 def pack_injections(scenario: Scenario, pool: Pool) -> signals.Injections:
     given = scenario.injection
-    # linear: steps are written as two rows close together, or with start_s and stop_s
+    # linear, because steps are given by two rows close together, or by start_s and stop_s
     tables = {k: fit(i.table["time_s"], i.table["value"], "linear") for k, i in enumerate(given) if i.table is not None}
     tones = np.zeros((2, MAX_INJECTIONS, MAX_TONES))
     for k, i in enumerate(given):

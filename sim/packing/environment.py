@@ -1,4 +1,4 @@
-"""The Earth, atmosphere, wind and turbulence of a scenario as records."""
+"""The records of a scenario's Earth, atmosphere, wind and turbulence."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def pack_environment(scenario: Scenario, pool: Pool) -> Environment:
 
 
 def pack_earth(earth: schema.EarthSection) -> globe.Earth:
-    """Return the figure's defaults, replaced by the values that the scenario gives."""
+    """Return the Earth with the defaults of its shape, except for values that the scenario gives."""
     default = {"flat": globe.flat, "sphere": globe.sphere, "wgs84": globe.wgs84}[earth.shape]()
     names = ("flattening", "rate_radps", "mu_m3ps2", "j2", "gravity_radius_m", "uniform_mps2")
     given = _given(earth, *names, "equatorial_radius_m")
@@ -51,7 +51,7 @@ def pack_earth(earth: schema.EarthSection) -> globe.Earth:
 
 
 def _given(section: Section, *names: str) -> dict[str, Any]:
-    """Return those of the optional keys `names` that have a value."""
+    """Return the values of the optional keys `names`, without keys that have none."""
     return {name: value for name in names if (value := getattr(section, name)) is not None}
 
 
@@ -97,20 +97,24 @@ def _wind_profile(wind: schema.WindSection, pool: Pool, ground_m: float) -> Tabl
     return pool.add(fit(altitude_m, columns, wind.interpolation))
 
 
-# straight lines between them are within 1 % of both laws from a hundredth of the height up
+# fractions of the shear layer's height; linear interpolation is within 1 % of both laws from 0.01 upwards
 _SHEAR_ROWS = np.concatenate([[0.0, 0.002, 0.005], np.geomspace(0.01, 1.0, 21)])
 
 
 def _to_the_ground(
     shear: schema.GroundShear, altitude_m: Array, columns: Array, ground_m: float
 ) -> tuple[Array, Array]:
-    """Return the profile with rows of a shear law below its lowest level or below the measured ground wind."""
+    """Return the profile with rows of a shear law below its lowest level or below the measured ground wind.
+
+    The profile consists of `altitude_m` (n,) and `columns` (n, 3), the wind components north, east and down, m/s.
+    `ground_m` is the altitude of the site. The result has the form of the profile.
+    """
     height, lowest = altitude_m - ground_m, shear.height_m
     if shear.speed_mps is not None and shear.from_deg is not None:
         kept = height > lowest
         reference = winds.wind_components(shear.speed_mps, shear.from_deg)[0]
     else:
-        first = min(int(np.searchsorted(height, 0.0)), len(height) - 1)  # levels below the ground do not count
+        first = min(int(np.searchsorted(height, 0.0)), len(height) - 1)  # levels below the ground are ignored
         lowest, reference = max(lowest, float(height[first])), columns[first]
         kept = height > lowest
     below = lowest * _SHEAR_ROWS

@@ -1,4 +1,4 @@
-"""The faults of the scenario as writes into the array that the components read, with one entry for each part."""
+"""The faults of a scenario as writes into the array of slots that the components read."""
 
 from __future__ import annotations
 
@@ -32,7 +32,11 @@ _AXIS = {"roll": 0, "pitch": 1, "yaw": 2, "x": 0, "y": 1, "z": 2}
 
 
 class Write(NamedTuple):
-    """A write of `value`, or of the value of `state` when the fault begins, into a slot."""
+    """A write into a slot of the fault array.
+
+    `value` is written if `state` is -1. Otherwise, the state with the index `state` at the beginning of the fault is
+    written. Indices of -2 and less denote states of sensors other than the first gyro.
+    """
 
     slot: int
     value: float = 1.0
@@ -40,8 +44,8 @@ class Write(NamedTuple):
 
 
 def _sensor(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
-    """Return the loss of output, the added signal and the noise of a sensor's axis."""
-    # beyond the first gyro sensors are counted from 0 on, the accelerometer behind the gyros
+    """Return the writes for lost output, added signal or added noise of a sensor's axis."""
+    # sensors other than the first gyro are counted from 0, with the accelerometer after the gyros
     number = (fault.gyro or 1) - 2 if KINDS[fault.kind].part == "gyro" else gyros - 1
     first = GYRO_LOST if number < 0 else SENSOR_FAULT + SENSOR_SLOTS * number
     lost, added, walk = (first + slot - GYRO_LOST + axis for slot in (GYRO_LOST, GYRO_ADDED, GYRO_WALK))
@@ -63,14 +67,15 @@ def _actuator(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
 
 
 WRITES: dict[str, Callable[[Fault, int, int], tuple[Write, ...]]] = {
-    "engine": lambda *_: (),  # its effect over time is known in advance: packing/schedule.py
+    "engine": lambda *_: (),  # the effect over time is known in advance: packing/schedule.py
     "gyro": _sensor,
     "accelerometer": _sensor,
     "actuator": _actuator,
 }
-"""The effect of a fault of a part on an axis, for this number of gyros.
+"""The functions that return the writes of a fault, by failed part.
 
-Axes are 0 roll, 1 pitch, 2 yaw; a part without axes has 0.
+Their arguments are the fault, its axis (0 roll or x, 1 pitch or y, 2 yaw or z; 0 for a part without axes) and the
+number of gyros.
 """
 
 
@@ -85,7 +90,7 @@ def pack_faults(scenario: Scenario) -> Faults:
 
 
 def _rows(fault: Fault, gyros: int) -> Iterator[tuple[float, ...]]:
-    """Yield the columns of `Faults` in their order."""
+    """Yield a row of `Faults` for each write of a fault, with the columns in order."""
     start_ns, stop_ns = to_ns(fault.at_s), NEVER if fault.until_s is None else to_ns(fault.until_s)
     stage, since_liftoff = -1 if fault.stage is None else fault.stage, int(fault.since == "liftoff")
     for axis in fault.axes or ("roll",):

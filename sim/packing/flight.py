@@ -1,4 +1,4 @@
-"""A validated scenario in the form that the kernel flies: parameter rows, table pool, initial state and memory."""
+"""The packing of a validated scenario for the kernel: parameter rows, table pool, initial state and memory."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _start_states = from_python(start_states)
 
 
 class BoosterBurn(NamedTuple):
-    """The burn of a booster in a stage, in ns of flight time; NEVER is an instant that does not occur."""
+    """The ignition and burnout of a booster in a stage, in ns of flight time; NEVER if they do not occur in it."""
 
     name: str
     stage: int
@@ -50,16 +50,17 @@ class BoosterBurn(NamedTuple):
 
 @dataclass(frozen=True)
 class Packed:
-    """The packed flight.
+    """A packed flight.
 
-    `parameters` (stages,) of Parameters, `pool` of tables, `memory` (1,) of Memory, `state` (MAX_STATE,).
+    `parameters` (stages,) is of Parameters, `memory` (1,) of Memory, and `pool` contains the tables. `state`
+    (MAX_STATE,) is the initial state.
     """
 
     parameters: NDArray[Any]
     pool: Array
     memory: NDArray[Any]
     state: Array
-    sizes: Sizes  # the largest of all stages
+    sizes: Sizes  # the largest sizes of all stages
     boosters: tuple[BoosterBurn, ...] = ()
 
 
@@ -67,7 +68,7 @@ _counts = attrgetter(*(f.name for f in fields(Sizes) if f.init))
 
 
 def pack_flight(scenario: Scenario) -> Packed:
-    """Pack everything that the kernel needs; the scenario is not read again. All vehicles fly with the same kernels."""
+    """Return the packed flight of a scenario, for the compiled kernels that all vehicles share."""
     pool = Pool()
     environment, computers = pack_environment(scenario, pool), pack_computers(scenario, pool)
     injections, faults, navigation = pack_injections(scenario, pool), pack_faults(scenario), pack_navigation(scenario)
@@ -111,7 +112,7 @@ def pack_flight(scenario: Scenario) -> Packed:
 
 
 def _booster_burns(stages: Sequence[Stage], burns: Sequence[Burn], starts_ns: Sequence[int]) -> Iterator[BoosterBurn]:
-    """Yield the burn of each booster in each of its stages; its ignition is that of the first."""
+    """Yield the burn of each booster in each of its stages, with its ignition in the first of them only."""
     known: set[str] = set()
     for n, (stage, burn, start_ns) in enumerate(zip(stages, burns, starts_ns, strict=True)):
         for booster, own in zip(stage.booster, burn.bodies[1:], strict=True):
@@ -123,17 +124,17 @@ def _booster_burns(stages: Sequence[Stage], burns: Sequence[Burn], starts_ns: Se
 
 
 def pack_for_one_vehicle(scenario: Scenario) -> Packed:
-    """Pack as `pack_flight` does, for kernels compiled for this vehicle's counts of modes, tanks, engines and sensors.
+    """Return the same as `pack_flight`, for kernels compiled for this vehicle's numbers of modes, tanks and so on.
 
-    They compute the same bits faster. Compiling them takes as long as some two hundred flights, once. Stages of
-    different sizes keep the common kernels.
+    These kernels compute the same bits in less time. Compiling them takes as long as about two hundred flights, once.
+    Stages of different sizes use the common kernels.
     """
     packed = pack_flight(scenario)
     return replace(packed, parameters=with_constants(packed.parameters, "vehicle", "sizes"))
 
 
 def _liftoff_s(scenario: Scenario) -> float:
-    """Return the time of liftoff on the vehicle clock if engines fail in relation to it, else infinity."""
+    """Return the time of liftoff on the vehicle clock, s, or infinity if no engine fault refers to it."""
     counted = [fault for fault in scenario.fault if fault.of_engines and fault.since == "liftoff"]
     if not counted:
         return math.inf
@@ -145,7 +146,10 @@ def _liftoff_s(scenario: Scenario) -> float:
 
 
 def _handed_on(stages: Sequence[Stage], burns: Sequence[Burn], sizes: Sequence[Sizes], n: int, pool: Pool) -> int:
-    """Return the place in the pool of the transfer matrix from the modes of the previous stage to those of stage n."""
+    """Return the place in the pool of the transfer matrix from the modes of the preceding stage to those of stage n.
+
+    The result is NONE if the modes are kept or the preceding stage has none.
+    """
     if stages[n].continues and not leaving(stages, n - 1):
         return NONE
     before = part_at(stages[n - 1], burns[n - 1], sizes[n - 1], burns[n - 1].end_s)
@@ -153,13 +157,14 @@ def _handed_on(stages: Sequence[Stage], burns: Sequence[Burn], sizes: Sequence[S
         return NONE
     at_s = burns[n - 1].end_s if stages[n].clock == "preceding" else 0.0
     after, (mass_kg, *_, roll_kgm2) = part_at(stages[n], burns[n], sizes[n], at_s), mass_at(stages[n], burns[n], at_s)
-    known, twist = any(after.sets), before.spatial or after.spatial  # computed only if needed by a campaign
+    # arguments without effect are 0, so that the runs of a campaign use the cached matrix
+    known, twist = any(after.sets), before.spatial or after.spatial
     transfer = modal_transfer(before, after, 0.0 if known else mass_kg, roll_kgm2 / mass_kg if twist else 0.0)
     return pool.put(transfer)
 
 
 def _stage_start_ns(before: Sequence[Parameters], stage: Stage) -> int:
-    """Return the zero of a stage's clock, from the stages before it."""
+    """Return the flight time of the zero of a stage's clock, ns, from the parameters of the stages before it."""
     if not before:
         return 0
     last = before[-1].timeline
@@ -211,9 +216,10 @@ def _timeline(
 
 
 def _burn(stage: Stage, burn: Burn, stage_start_ns: int) -> tuple[int, int]:
-    """Return the times of ignition and burnout.
+    """Return the flight times of ignition and burnout, ns.
 
-    A single row of thrust burns for ever, and a stage without an engine never.
+    With a single row of thrust, an engine burns without end, and the burnout is NEVER. Without an engine, both are
+    NEVER.
     """
     if not stage.engines:
         return NEVER, NEVER

@@ -1,4 +1,4 @@
-"""The state at the start of a flight, from any of the frames that a scenario may use."""
+"""The state at the start of a flight, from values in any of the frames that a scenario may use."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ local_frame, ned_axes = from_python(kernels.local_frame), from_python(kernels.ne
 
 
 def initial_motion(scenario: Scenario, y: Array) -> None:
-    """Fill position, velocity, attitude and rates of the state `y` for the scenario's start."""
+    """Write the initial position, velocity, attitude and rates of a scenario into the state `y` (MAX_STATE,)."""
     position_I, velocity_I, q_BI, rate_B = _motion(
         scenario.initial, scenario.site, scenario.earth, scenario.rail, scenario.run.start_s
     )
@@ -69,9 +69,9 @@ def _motion(
 
 
 def product(a: Array, b: Array) -> Array:
-    """Multiply the matrix `a` (3, 3) by a matrix or vector `b` (3, ...).
+    """Return the product of the matrix `a` (3, 3) and the matrix or vector `b` (3, ...).
 
-    Unlike with BLAS, the rounding is the same on every processor.
+    Unlike that of BLAS, its rounding is the same on every processor.
     """
     return np.asarray(
         np.multiply.outer(a[:, 0], b[0]) + np.multiply.outer(a[:, 1], b[1]) + np.multiply.outer(a[:, 2], b[2])
@@ -79,7 +79,7 @@ def product(a: Array, b: Array) -> Array:
 
 
 def site_axes(initial: Initial | None, site: schema.Site, earth: Earth) -> Array:
-    """Return the local north, east and down at the start, in E, as rows."""
+    """Return the unit vectors north, east and down at the start as rows (3, 3), in E."""
     given = initial or Initial()
     _, sin_lat, cos_lat, sin_lon, cos_lon = local_frame(earth, *_position(given, site, earth, np.eye(3)))
     return np.array(ned_axes(sin_lat, cos_lat, sin_lon, cos_lon)).reshape(3, 3)
@@ -97,7 +97,7 @@ def _position(given: Initial, site: schema.Site, earth: Earth, to_inertial: Arra
 
 
 def _attitude(given: Initial, site: schema.Site, rail: Rail | None, ned_to_inertial: Array) -> Array:
-    """Return the matrix that turns B components into I components."""
+    """Return the initial rotation matrix (3, 3) from B to I components."""
     if given.q_BI is not None:
         return rotation(np.array(given.q_BI))
     if given.dcm_BI is not None:
@@ -115,7 +115,7 @@ def _attitude(given: Initial, site: schema.Site, rail: Rail | None, ned_to_inert
 
 
 def euler_to_ned(yaw: float, pitch: float, roll: float) -> Array:
-    """Return the matrix that turns B components into N components, 3-2-1 sequence (rad)."""
+    """Return the rotation matrix (3, 3) from B to N components for Euler angles of the sequence 3-2-1, rad."""
     cy, sy, cp, sp = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
     cr, sr = math.cos(roll), math.sin(roll)
     return np.array(
@@ -128,7 +128,7 @@ def euler_to_ned(yaw: float, pitch: float, roll: float) -> Array:
 
 
 def rotation(q: Array) -> Array:
-    """Return the matrix of a quaternion, scalar first, of any norm."""
+    """Return the rotation matrix (3, 3) of a quaternion (4,), scalar first, of any norm except 0."""
     w, x, y, z = q / math.hypot(*q)
     return np.array(
         [
@@ -140,9 +140,10 @@ def rotation(q: Array) -> Array:
 
 
 def quaternion(matrix: Array) -> Array:
-    """Return the unit quaternion of a rotation matrix, scalar first and not negative; exact to rounding at any angle.
+    """Return the unit quaternion (4,) of a rotation matrix, with its scalar first and not negative.
 
-    The largest of the four squared components is the divisor (Shepperd 1978).
+    The component with the largest square is the divisor, so that the result is exact to rounding at any angle
+    (Shepperd, J. Guidance and Control 1(3), 1978).
     """
     m = matrix
     trace = float(np.trace(m))
@@ -162,10 +163,11 @@ def quaternion(matrix: Array) -> Array:
 
 
 def thrust_exceeds_weight_s(p: Any, pool: Array, y: Array) -> float:
-    """Return the time of liftoff of a held vehicle on its clock, or infinity if it does not lift off.
+    """Return the liftoff time of a held vehicle on its clock, s, or infinity if it does not lift off.
 
-    `p`: packed first stage. Until then the vehicle is at rest in constant air, so that thrust and mass over time
-    determine the time. It equals the time found in flight to the nanosecond, apart from rounding.
+    `p` contains the parameters of the first stage. Before liftoff, the vehicle is at rest in constant air, so that
+    thrust and mass over time determine the liftoff time. Except for rounding, it equals the time found in flight to the
+    nanosecond.
     """
     pressure_Pa, load_mps2 = _on_the_pad(p.environment, pool, y, blank(Anchor), blank(AirData))
     table, timeline = table_in(pool, p.vehicle.schedule), p.timeline
@@ -189,7 +191,7 @@ def thrust_exceeds_weight_s(p: Any, pool: Array, y: Array) -> float:
 
 @entry
 def _on_the_pad(environment: Environment, pool: Array, y: Array, anchor: Records, out: Records) -> tuple[float, float]:
-    """Return the pressure, Pa, and the axial specific force, m/s2, of a vehicle that moves with the Earth."""
+    """Return the air pressure, Pa, and the axial specific force, m/s2, of a vehicle at rest on the Earth."""
     rotation = rotation_from_quaternion(y[Q_BI], y[Q_BI + 1], y[Q_BI + 2], y[Q_BI + 3])
     gravity = air_data(environment, pool, (0.0, 0.0, 0.0), rotation, y, anchor[0], out[0])
     return out[0].pressure_Pa, pad_acceleration(environment.earth, rotation, gravity, y)[0]

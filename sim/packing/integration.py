@@ -1,8 +1,9 @@
 """The damping and frequency errors of the Runge-Kutta method for the vehicle's fast oscillations.
 
-An oscillation exp(s t) becomes R(s h) per step, with R(z) = 1 + z + z^2/2 + z^3/6 + z^4/24. This is exp(s' t) with s' =
-ln R(s h) / h. For an undamped oscillation of w rad/s, to leading order, the damping ratio grows by (w h)^5 / 144, and
-the frequency falls by a fraction (w h)^4 / 120. From w h = 2.83 on the oscillation grows without bound.
+In a step h, the method multiplies an oscillation exp(s t) by R(s h), with R(z) = 1 + z + z^2/2 + z^3/6 + z^4/24. The
+result is exp(s' t) with s' = ln R(s h) / h. For an undamped oscillation of w rad/s, to leading order, the damping ratio
+increases by (w h)^5 / 144, and the frequency decreases by the fraction (w h)^4 / 120. Above w h = 2.83, the oscillation
+grows without bound.
 """
 
 from __future__ import annotations
@@ -20,17 +21,17 @@ from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 
 SHARE = 0.1
-"""The share of an oscillation's own damping ratio that the method may add without a warning."""
+"""The largest added damping ratio without a warning, as a share of an oscillation's damping ratio."""
 LONGEST_S = 0.01
-"""The longest step that run.accuracy may give: air, slosh and the rigid body change within tenths of a second."""
+"""The longest step with run.accuracy, s, because air, slosh and the rigid body change within tenths of a second."""
 TVC_LOAD, SENSOR = "TVC load", "further sensor"
-_LEAST = 1e-5  # smaller added damping ratios cause no warning, whatever their share
+_LEAST = 1e-5  # smaller added damping ratios cause no warning, regardless of their share
 
 
 class Oscillation(NamedTuple):
-    """The pair of poles of an oscillation as given in the files.
+    """The pair of poles of an oscillation from the files, at the highest frequency of the flight.
 
-    It is uncoupled, without softening, at its highest frequency of the flight.
+    Coupling and softening by axial load are not included.
     """
 
     name: str
@@ -40,7 +41,7 @@ class Oscillation(NamedTuple):
 
 @dataclass(frozen=True)
 class MethodError:
-    """The error of a step of `step_s` for an oscillation; `frequency_error` is relative."""
+    """The error of the method with steps of `step_s` for an oscillation; `frequency_error` is relative."""
 
     oscillation: Oscillation
     step_s: float
@@ -49,13 +50,13 @@ class MethodError:
 
     @property
     def share(self) -> float:
-        """Return the ratio of the added to the own damping ratio; negative if the method reduces damping."""
+        """Return the ratio of the added to the physical damping ratio; negative if the method reduces damping."""
         own = self.oscillation.damping_ratio
         return self.added_damping_ratio / own if own > 0.0 else math.copysign(math.inf, self.added_damping_ratio)
 
     @property
     def text(self) -> str:
-        """Return a sentence if more than SHARE is added, else an empty string."""
+        """Return a warning if the damping ratio changes by more than SHARE and _LEAST, else an empty string."""
         if abs(self.added_damping_ratio) <= max(SHARE * self.oscillation.damping_ratio, _LEAST):
             return ""
         o, added = self.oscillation, self.added_damping_ratio
@@ -67,7 +68,7 @@ class MethodError:
 
 
 def method_error(oscillation: Oscillation, step_s: float) -> MethodError:
-    """Return the error of the classical Runge-Kutta method, for a damping ratio below 1.
+    """Return the error of the classical Runge-Kutta method for an oscillation with a damping ratio below 1.
 
     Source: Hairer & Wanner, Solving Ordinary Differential Equations II, section IV.2 (stability function).
     """
@@ -78,9 +79,12 @@ def method_error(oscillation: Oscillation, step_s: float) -> MethodError:
 
 
 def worst_error(scenario: Scenario) -> MethodError | None:
-    """Return the error with the largest share in an oscillation's damping, or None if nothing oscillates."""
+    """Return the error with the largest share of an oscillation's damping, or None if there is no oscillation.
+
+    With run.accuracy, only oscillations that are not propagated exactly are considered.
+    """
     stages, step_s, found = scenario.vehicle.stage, scenario.run.step_s, list(oscillations(scenario))
-    if scenario.run.accuracy is not None:  # the others are propagated exactly
+    if scenario.run.accuracy is not None:  # all other oscillations are propagated exactly
         step_s = max(step_ns(scenario, stage) for stage in stages) / NS_PER_S
         found = [o for o in found if o.name.startswith((TVC_LOAD, SENSOR))]
     errors = [method_error(o, step_s) for o in found if o.damping_ratio < 1.0]
@@ -88,11 +92,11 @@ def worst_error(scenario: Scenario) -> MethodError | None:
 
 
 def step_ns(scenario: Scenario, stage: Stage) -> int:
-    """Return the longest step of a stage, ns: run.step_s, or the longest that satisfies run.accuracy, halved.
+    """Return the step of a stage, ns: run.step_s, or the longest step that satisfies run.accuracy, after its halvings.
 
     Modes, actuators and the first gyro are propagated exactly (sim/flight/step.py). Simpson's rule integrates their
-    inputs, with a relative error (w h)^4 / 2880 for a force of w rad/s. Further sensors, a TVC load, and the modes that
-    it changes are not propagated exactly. Their frequencies have the relative error (w h)^4 / 120.
+    inputs, with a relative error of (w h)^4 / 2880 for a force of w rad/s. Further sensors, a TVC load, and modes with
+    a TVC load are not propagated exactly; their frequencies have a relative error of (w h)^4 / 120.
     """
     accuracy = scenario.run.accuracy
     if accuracy is None:
@@ -109,7 +113,7 @@ def step_ns(scenario: Scenario, stage: Stage) -> int:
 
 
 def oscillations(scenario: Scenario) -> Iterator[Oscillation]:
-    """Yield the modes, actuators and gyro of all stages that are switched on."""
+    """Yield the oscillations of all stages that are switched on: modes, actuators, TVC loads and sensors."""
     several = len(scenario.vehicle.stage) > 1
     for number, stage in enumerate(scenario.vehicle.stage, start=1):
         for name, frequency_hz, zeta in _of_stage(scenario, stage):
@@ -126,7 +130,7 @@ def _of_stage(scenario: Scenario, stage: Stage) -> Iterator[tuple[str, float, fl
     for given in stage.actuators[: 1 if not isinstance(stage.actuator, tuple) else None]:
         group = "" if given.group is None else f" of group {given.group!r}"
         for plane, axis in zip(("pitch", "yaw"), given.axes if switches.actuator != "ideal" else (), strict=False):
-            last = 3 if axis.exchange_a3_a4 else 2  # one of a3 and a4 is a pair of zeros
+            last = 3 if axis.exchange_a3_a4 else 2  # either a3 or a4 is a pair of zeros
             for k in (0, 1, last)[: len(axis.omega_hz)]:
                 yield f"{plane} actuator{group}, a{k + 1}", axis.omega_hz[k], axis.zeta[k]
     loads = stage.tvc_loads if switches.tvc_load and switches.engine_inertia else {}
@@ -149,7 +153,7 @@ def _of_stage(scenario: Scenario, stage: Stage) -> Iterator[tuple[str, float, fl
 def _modes(
     name: str, given: BendingSection | SpatialModesSection, table: ModeTable | SpatialModeTable | None
 ) -> Iterator[tuple[str, float, float]]:
-    """Yield each mode at its highest frequency."""
+    """Yield name, highest frequency (Hz) and damping ratio of each mode."""
     highest = [] if table is None else table.frequency_hz.max(axis=0).tolist()
     factors = zip(highest, given.frequency_factor, given.damping_ratio, strict=False)
     for number, (frequency_hz, factor, zeta) in enumerate(factors, start=1):

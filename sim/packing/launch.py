@@ -1,4 +1,4 @@
-"""The rail, the tower and the errors of navigation of a scenario as records."""
+"""The records of a scenario's rail, tower and navigation errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from maxq.sim.scenario.schema_vehicle import Stage
 
 
 def pack_navigation(scenario: Scenario) -> Navigation:
-    """Return the errors of navigation at the start."""
+    """Return the navigation errors at the start: position and velocity in I, attitude in B."""
     given, earth = scenario.navigation, pack([pack_earth(scenario.earth)])[0]
     if given is None:
         return Navigation(0, np.zeros(3), np.zeros(3), np.zeros(3))
@@ -30,7 +30,7 @@ def pack_navigation(scenario: Scenario) -> Navigation:
 
 
 def pack_launch(scenario: Scenario, stage: Stage) -> Launch:
-    """Return the launch of a stage."""
+    """Return the rail and the tower, in E, with the tail station of a stage."""
     rail, tower = scenario.rail, scenario.tower
     to_tower: Array = np.zeros(3)
     up: Array = np.zeros(3)

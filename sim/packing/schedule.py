@@ -1,7 +1,7 @@
-"""The vehicle over time, as one table: mass, thrust, pendulums and modes of a stage on common breakpoints.
+"""The schedule of a stage: a table of its mass, thrust, pendulums and modes over time, on common breakpoints.
 
 Sloshing masses are subtracted from the core here. Mass, CG and inertia of the remainder are computed at every
-breakpoint and then interpolated. Rates are the exact derivatives of the interpolated curves, so that the engine expels
+breakpoint and then interpolated. Rates are the exact derivatives of the interpolated curves, so that the engines expel
 exactly the mass that the vehicle loses (docs/model.md, section 8).
 """
 
@@ -29,11 +29,11 @@ from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 from maxq.sim.vehicle.slosh.packing import Pendulum, pendulums
 from maxq.sim.vehicle.state import Sizes
 
-_INTERVAL_S = 2.0  # longest interval of the CG and inertia of several bodies
+_INTERVAL_S = 2.0  # longest interval of interpolated CG and inertia of several bodies
 
 
 def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes:
-    """Return the numbers of modes, pendulums and surfaces that are flown with these switches."""
+    """Return the numbers of modes, pendulums, surfaces, engines and sensors that are simulated with these switches."""
     pitch = yaw = 0
     if stage.bending is not None and switches.bending:
         pitch_table, yaw_table = stage.bending.pitch_modes, stage.bending.yaw_modes
@@ -60,10 +60,10 @@ def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes
 
 
 def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches, frozen: bool) -> list[Cubics]:
-    """Return all columns of vehicle/schedule.py as adjacent tables.
+    """Return all columns of sim/vehicle/schedule.py as tables in that order.
 
-    Their argument is the clock of the stage's tables or, where they differ, the stage's own clock. `frozen`: the CG
-    does not move, because the schedule is stopped.
+    Their argument is the clock of the stage's tables, or the stage clock if the clocks of its tables differ. With
+    `frozen`, the schedule is stopped, and the CG does not move.
     """
     method: Method = stage.interpolation
     hanging = pendulums(stage)[: sizes.pendulums]
@@ -88,14 +88,14 @@ def vehicle_schedule(stage: Stage, burn: Burn, sizes: Sizes, switches: Switches,
 
 
 def mass_at(stage: Stage, burn: Burn, time_s: float) -> tuple[float, ...]:
-    """Return mass, CG (3) and roll inertia of the whole vehicle at an instant of the clock of a stage."""
+    """Return mass, kg, CG station, y and z, m, and roll inertia, kg m2, of the vehicle at an instant of a stage."""
     times, rows = stage.mass_over_time()
     at_s = time_s if stage.booster else table_time_s(stage, burn, time_s)
     return tuple(float(np.interp(at_s, times, column)) for column in rows[:, :5].T)
 
 
 def _core(stage: Stage, burn: Burn, hanging: Sequence[Pendulum], method: Method, moving_cg: bool) -> Cubics:
-    """Return the columns CORE_MASS to MASS_FLOW."""
+    """Return the columns CORE_MASS to MASS_FLOW of the schedule."""
     cores, totals = [], []
     for b in range(len(stage.bodies)):
         core, total = _body(stage, b, hanging, method)
@@ -139,10 +139,10 @@ def carried_boosters(stage: Stage, burn: Burn, sizes: Sizes) -> CarriedBoosters:
 
 
 def _together(bodies: Sequence[Cubics], places: Sequence[tuple[float, float]]) -> Cubics:
-    """Return mass, CG and inertia of several bodies (columns of `without_bobs`) together.
+    """Return mass, CG and inertia of several bodies combined, in the columns of `without_bobs`.
 
-    Mass is exact. CG and inertia are cubics with the exact values and slopes at both ends of intervals that are at most
-    `_INTERVAL_S` long.
+    Mass is exact. CG and inertia are cubics with exact values and slopes at both ends of intervals of at most
+    `_INTERVAL_S`. `places` are y and z of each body's axis, m.
     """
     breaks = union(*bodies)
     fine = [np.linspace(a, b, max(1, math.ceil((b - a) / _INTERVAL_S)), endpoint=False) for a, b in pairwise(breaks)]
@@ -163,7 +163,7 @@ def _together(bodies: Sequence[Cubics], places: Sequence[tuple[float, float]]) -
 
 
 def _joined_rates(total: Array, parts: Sequence[tuple[Array, Array]], places: Sequence[tuple[float, float]]) -> Array:
-    """Return the rate of the rows `total` (n, 10) of `joined`, from the values and rates of its parts."""
+    """Return the rates (n, 10) of the rows `total` (n, 10) of `joined`, from the values and rates of its parts."""
     first, second = np.zeros((len(total), 3)), np.zeros((len(total), 6))
     flow = np.zeros(len(total))
     for (value, rate), place in zip(parts, places, strict=True):
@@ -178,17 +178,18 @@ def _joined_rates(total: Array, parts: Sequence[tuple[Array, Array]], places: Se
 
 
 def _squares_rate(r: Array, rate: Array) -> Array:
-    """Return the rate of `squares` at places r (station, y, z) that move at `rate`."""
+    """Return the rates (n, 6) of `squares` at places `r` (n, 3), station, y and z, that move at `rate` (n, 3)."""
     (x, y, z), (u, v, w) = r.T * np.array([[-1.0], [1.0], [1.0]]), rate.T * np.array([[-1.0], [1.0], [1.0]])
     xx, yy, zz = 2.0 * x * u, 2.0 * y * v, 2.0 * z * w
     return np.stack([yy + zz, xx + zz, xx + yy, u * y + x * v, u * z + x * w, v * z + y * w], axis=1)
 
 
 def without_bobs(total: Array, bobs: list[Array], places: Sequence[tuple[float, float]]) -> Array:
-    """Return rows (n, 10) of mass, CG and inertia of the vehicle without its bobs, each at rest below its hinge.
+    """Return rows (n, 10) of mass, CG and inertia of the vehicle without its bobs, which hang aft of their hinges.
 
-    `places`: y and z of each hinge, m.
-    Sums are written out, because a linear-algebra library adds in an order that depends on the processor.
+    `total` (n, 10) includes the bobs. `bobs` are rows (n, 3) of mass, pendulum length and hinge station for each bob,
+    and `places` are y and z of each hinge, m. Sums are written out, because the order of additions in a linear-algebra
+    library depends on the processor.
     """
     mass, station, y, z = total[:, :4].T
     nothing = np.zeros_like(mass)
@@ -210,7 +211,7 @@ def without_bobs(total: Array, bobs: list[Array], places: Sequence[tuple[float, 
 
 
 def _tank_rates(tank: Cubics, pace: float, shrinks: bool, travels: bool) -> Cubics:
-    """Return the rates of a bob's mass and of its station."""
+    """Return the rates of a bob's mass (0 unless it `shrinks`) and station (0 unless it `travels`)."""
     derivative = _derivative(tank, pace)
     rates = derivative.coefficients
     out = np.zeros((*rates.shape[:2], 2))
@@ -222,12 +223,12 @@ def _tank_rates(tank: Cubics, pace: float, shrinks: bool, travels: bool) -> Cubi
 
 
 def _pace(stage: Stage, burn: Burn) -> float:
-    """Return the seconds of the schedule's clock per second of flight."""
+    """Return the rate of the schedule's clock relative to the flight time."""
     return burn_rate(stage) if burn.clock is None else 1.0
 
 
 def _derivative(table: Cubics, pace: float) -> Cubics:
-    """Return the exact derivative with respect to the time of flight.
+    """Return the exact derivative of a table with respect to the flight time.
 
     It is zero outside the table, where the end values hold.
     """
@@ -246,7 +247,7 @@ def _columns(table: Cubics, columns: list[int]) -> Cubics:
 def _modes(
     stage: Stage, burn: Burn, table: ModeTable | None, sizes: Sizes, tanks: Sequence[Pendulum], method: Method
 ) -> Cubics:
-    """Return the columns of all modes of one plane, or zeros without a table."""
+    """Return the columns of all modes of a plane, or zeros without a table."""
     rows, padded_modes = columns_of.mode_rows(sizes), columns_of.padded_modes(sizes)
     if table is None or rows * padded_modes == 0:
         return fit([0.0], np.zeros((1, rows * padded_modes)))

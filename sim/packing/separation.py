@@ -1,8 +1,8 @@
-"""The transfer of modal motion at a separation to the part that flies on.
+"""The transfer of modal motion at a separation to the remaining part of the vehicle.
 
-A rigid motion and the modes of the remaining part approximate displacements and velocities of its bent axis, by least
-squares weighted with its masses (docs/model.md, section 4). The transfer does not depend on the modal displacements, so
-it is one matrix for each separation.
+Displacements and velocities of the remaining part's bent axis are approximated by a rigid motion and the modes of this
+part. The approximation is that of least squares, weighted with the masses of the part (docs/model.md, section 4). The
+transfer is linear in the modal displacements, so that a matrix describes each separation.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from maxq.sim.vehicle.modes.shapes import ModeShapes, spatial_shapes
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 from maxq.sim.vehicle.state import Sizes
 
-RIGID = 6  # rows of the matrix before those of the modes: displacement along x, y, z of B at the nose, rotation
+RIGID = 6  # rows of the matrix before those of the modes: displacement of the nose along x, y, z of B, and rotation
 
 
 class StageModes(NamedTuple):
-    """The modes of a stage as flown, and an instant of the tables' clock."""
+    """The modes of a stage that are simulated, and an instant on the tables' clock."""
 
     pitch: ModeTable | None
     yaw: ModeTable | None
@@ -42,7 +42,7 @@ class StageModes(NamedTuple):
 
 
 def part_at(stage: Stage, burn: Burn, sizes: Sizes, time_s: float) -> StageModes:
-    """Return the modes at an instant of the stage's clock."""
+    """Return the simulated modes of a stage at an instant of its clock."""
     bending, spatial = stage.bending, stage.spatial_modes
     sets = (
         bending.pitch_modes if bending is not None and sizes.pitch_modes > 0 else None,
@@ -57,8 +57,8 @@ def part_at(stage: Stage, burn: Burn, sizes: Sizes, time_s: float) -> StageModes
 def modal_transfer(before: StageModes, after: StageModes, mass_kg: float, gyration_m2: float) -> Array:
     """Return the matrix (RIGID + modes after, modes before) from old modes to rigid motion and new modes.
 
-    The masses are those between the stations of the new modes. Without new modes they are those of the old modes up to
-    the station where the mass forward is `mass_kg`. `gyration_m2`: roll inertia per mass.
+    The weights are the masses of the new modes. Without new modes, they are the masses of the old modes forward of the
+    station at which the cumulative mass from the nose is `mass_kg`. `gyration_m2` is the roll inertia per mass, m2.
     """
     points, mass = _masses(before, after, mass_kg)
     old, new = _shapes(before, points), _shapes(after, points)
@@ -72,7 +72,7 @@ def modal_transfer(before: StageModes, after: StageModes, mass_kg: float, gyrati
 
 
 def _masses(before: StageModes, after: StageModes, mass_kg: float) -> tuple[Array, Array]:
-    """Return points along the part that flies on, and the masses that they represent."""
+    """Return the stations (points,), m, of integration points along the remaining part, and their masses (points,)."""
     own = next((modes for modes in after.sets if modes is not None), None)
     modes = own or next(modes for modes in before.sets if modes is not None)
     x, at_s = modes.station_m, (after if own else before).time_s
@@ -82,12 +82,12 @@ def _masses(before: StageModes, after: StageModes, mass_kg: float) -> tuple[Arra
         x, forward = np.append(x[x < cut_m], cut_m), np.append(forward[x < cut_m], mass_kg)
     points, weights = gauss(x)
     lengths, between = np.diff(x), np.maximum(np.diff(forward), 0.0)
-    density = between / lengths if between.any() else np.ones(len(lengths))  # the masses are unknown
+    density = between / lengths if between.any() else np.ones(len(lengths))  # equal weights for unknown masses
     return points, weights * np.tile(density, len(points) // len(lengths))
 
 
 def _shapes(part: StageModes, points: Array) -> Array:
-    """Return the shapes of all modes (modes, 4, points): displacement along x, y, z of B, rotation about x."""
+    """Return the shapes (modes, 4, points) of all modes: displacements along x, y, z of B, and rotation about x."""
     out = []
     for modes, at in zip(part.sets, (2, 1, None), strict=True):
         if modes is None:
@@ -103,7 +103,7 @@ def _shapes(part: StageModes, points: Array) -> Array:
 
 
 def _then(modes: ModeTable | SpatialModeTable, part: StageModes) -> ModeTable | SpatialModeTable:
-    """Return a table's shapes at the part's instant."""
+    """Return the table with its shapes at the instant of `part` only."""
     names = ("phi", "slope_pm") if isinstance(modes, ModeTable) else ("displacement", "rotation_pm")
     shapes: dict[str, Any] = {}
     for name in names:

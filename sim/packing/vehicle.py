@@ -1,4 +1,4 @@
-"""A stage of the vehicle file as the record that the derivative reads."""
+"""The record of a stage that the derivative reads."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from maxq.sim.vehicle.tvc_load.packing import _tvc_loads
 def pack_vehicle(
     scenario: Scenario, stage: Stage, burn: Burn, sizes: Sizes, schedule: Sequence[Cubics], pool: Pool
 ) -> StageRecord:
-    """Return the parameters of one stage under the scenario's switches, and add its tables to `pool`."""
+    """Return the parameters of a stage under the scenario's switches, and add its tables to `pool`."""
     switches = scenario.switches
     given = stage.actuators or (None,) * len(stage.engine_groups)
     actuators = [axis for each in given for axis in pack_actuators(each, switches.actuator)]

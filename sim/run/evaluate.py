@@ -1,4 +1,4 @@
-"""The simulator's derivative and its by-products at a given state and time, without a flight."""
+"""The evaluation of the simulator's derivative and loads at a given state and time, without a flight."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from maxq.sim.vehicle.workspace import PROPERTIES_SIZE, Aux, Evaluation, Work
 
 @dataclass
 class Space:
-    """The memory of an evaluation."""
+    """The work memory of an evaluation."""
 
     properties: Annotated[Array, (PROPERTIES_SIZE,)]
     rate: Annotated[Array, (MAX_STATE,)]
     work: Work
     aux: Aux
-    columns: Annotated[Array, (MAX_LOAD_COLUMNS,)]  # of the section loads
+    columns: Annotated[Array, (MAX_LOAD_COLUMNS,)]  # columns of section loads
 
 
 class Instant(NamedTuple):
@@ -40,10 +40,10 @@ class Instant(NamedTuple):
 
 
 def evaluate_at(packed: Packed, y: Array, time_s: float) -> Instant:
-    """Return the simulator's derivative and loads at a state (MAX_STATE,) and flight time.
+    """Return the simulator's derivative and loads at a state `y` (MAX_STATE,) and a flight time, s.
 
-    Gimbal commands are those held. `packed` may be at its start or in mid-flight. Its stage, and whether it burns or is
-    held down, are used. It is not changed.
+    `packed` may be at its start or in flight; it is not changed. Its memory gives the stage, the gimbal commands, and
+    the states of burn and hold-down.
     """
     memory = packed.memory.copy()
     if memory[0].clock.started == 0:
@@ -58,14 +58,15 @@ def evaluate_at(packed: Packed, y: Array, time_s: float) -> Instant:
 def evaluate_into(
     P: Records, pool: Array, state: Records, y: Array, now_ns: int, elapsed_s: float, space: Records
 ) -> None:
-    """Evaluate the derivative of `y` and its by-products `elapsed_s` into a step that starts at the instant `now_ns`.
+    """Evaluate the derivative of `y` and the auxiliary outputs at `elapsed_s` after `now_ns`, the start of a step.
 
-    Section loads are included if there are stations. `P` of Parameters, `state` of Memory, `space` of Space.
+    Section loads are evaluated if there are stations. `P` is of Parameters, `state` of Memory, and `space` of Space.
+    The results are written into `space` and `state`.
     """
     memory, room = state[0], space[0]
     p = P[memory.clock.stage]
     pool, y, properties = bare_pointer(pool), bare_pointer(y), bare_pointer(room.properties)
-    # a step is within one interval of the schedule; breakpoints are met to the nanosecond
+    # a step is within an interval of the schedule, and breakpoints are exact to the nanosecond
     within_s = schedule_clock(p, memory.clock, now_ns, 1e-9)
     memory.clock.interval = find_interval(pool, p.vehicle.schedule, within_s)
     read_schedule(p, pool, memory, now_ns, elapsed_s, properties)

@@ -1,4 +1,4 @@
-"""A completed flight: channels by name, events, metrics and verdicts."""
+"""The result of a flight: channels by name, events, metrics and verdicts."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _FIRST_ROOM = 400_000  # rows
 _SPACE_M = 100e3
 
 LoggedRows = dict[str, tuple[IntArray, Array]]
-"""The rows by rate group: times (n,) in ns and values (n, columns of the group) in logged units."""
+"""The log rows by rate group: times (n,), ns, and values (n, columns of the group) in logged units."""
 
 
 @dataclass(frozen=True)
 class Event:
     """An event of a flight.
 
-    `stage` counts from 1 on a vehicle of several stages; 0 is an event of the whole vehicle. `detail`: the failed part,
-    or the cause of the flight's failure.
+    `stage` is the number of the stage, from 1, for a vehicle with several stages; 0 denotes the whole vehicle. `detail`
+    is the part concerned, or the cause of a failure.
     """
 
     name: str
@@ -43,25 +43,26 @@ class Event:
 
     @property
     def title(self) -> str:
-        """Return name and stage, for messages."""
+        """Return the name and stage of the event, for messages."""
         return self.name + (f" (stage {self.stage})" if self.stage else "")
 
     @property
     def text(self) -> str:
-        """Return name, stage and detail, for messages."""
+        """Return the name, stage and detail of the event, for messages."""
         return self.title + (f": {self.detail}" if self.detail else "")
 
 
 @dataclass(frozen=True, repr=False)
 class Flight(Tabular):
-    """A completed flight.
+    """The result of a flight.
 
-    `flight["alpha_deg"]` is a channel, and `flight.time_s("alpha_deg")` its times.
+    `flight["alpha_deg"]` returns the values (n,) of a channel, and `flight.time_s("alpha_deg")` their times (n,).
 
-    - `metrics`, `metric_times_s`: by metric name (nan: no time, because the metric was never updated).
-    - `outcome`: "impact" or another event of run.stop_at that ended it, "duration", "diverged", "interrupted".
-    - `cause`: reason for a divergence.
-    - `final`: every channel at the last instant, with or without a log.
+    - `metrics`, `metric_times_s`: values and times by metric name; the time of a metric never updated is nan.
+    - `outcome`: reason for the end: "impact" or another event of run.stop_at, "duration", "diverged",
+      "flight_software" or "interrupted".
+    - `cause`: reason for a divergence, or for a failure of external flight code.
+    - `final`: value of every channel at the last instant, with or without a log.
     """
 
     scenario: LoadedScenario
@@ -72,8 +73,8 @@ class Flight(Tabular):
     metric_times_s: dict[str, float]
     verdicts: tuple[Verdict, ...]
     section_extremes: tuple[SectionExtreme, ...]
-    failures: tuple[str, ...]  # failures and their times: control lost, diverged, above the wind profile
-    inexact: bool  # control was kept, and an estimated integration error exceeds run.accuracy
+    failures: tuple[str, ...]  # failures with times, such as loss of control, other than missed requirements
+    inexact: bool  # control was kept, but an estimated integration error exceeds run.accuracy
     outcome: str
     cause: str
     end_s: float
@@ -85,11 +86,11 @@ class Flight(Tabular):
     wall_s: float
 
     def __getitem__(self, channel: str) -> Array:
-        """Return the values of a channel; raise KeyError for an unknown name or a flight without a log."""
+        """Return the values (n,) of a channel; raise KeyError for an unknown name or a flight without a log."""
         return self._rows(channel)[1][:, self.table.index(channel)]
 
     def time_s(self, channel: str) -> Array:
-        """Return the times of a channel's values, s."""
+        """Return the times (n,) of a channel's values, s; raise KeyError as for the values."""
         return self._rows(channel)[0] / 1e9
 
     def _rows(self, channel: str) -> tuple[IntArray, Array]:
@@ -105,7 +106,7 @@ class Flight(Tabular):
         return f"<Flight {self.scenario.name}: {self.outcome} at {self.end_s:.3f} s, {met}{failed}>"
 
     def _repr_html_(self) -> str:
-        """Return requirements and metrics as HTML, for notebooks."""
+        """Return the requirements and metrics as an HTML table, for notebooks."""
         verdicts = tightest_first(self.verdicts)
         rows = [(v.name, "met" if v.met else "MISSED", v.shown[0], v.limit_text) for v in verdicts]
         for name in self.telling_metrics:
@@ -117,8 +118,8 @@ class Flight(Tabular):
         """Return the names of the metrics that describe this flight.
 
         Metrics without a value are omitted, as are those of an orbit with its perigee below the ground. The apogee of
-        such an orbit is omitted if the flight has passed it or would not reach space. It counts from the equatorial
-        radius, which is up to 21 km above the ground.
+        such an orbit is omitted if the flight has passed it or ended at impact, or if it is below _SPACE_M. Its
+        altitude is relative to the equatorial radius, which is up to 21 km above the ground.
         """
         orbits = self.metrics["perigee_altitude_m"] >= 0.0
         apogee_ahead = math.isnan(self.event_s("apogee")) and self.outcome != "impact"
@@ -137,12 +138,12 @@ class Flight(Tabular):
         return tuple(names)
 
     def event_s(self, name: str) -> float:
-        """Return the time of an event, the last one of several stages; nan if it has not happened."""
+        """Return the time of the last event with this name, s; nan if there is none."""
         return max((e.time_s for e in self.events if e.name == name), default=math.nan)
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Return what a verdict mentions in addition to requirements: no liftoff, a tumble, a model that is left."""
+        """Return the remarks of a verdict: a missing liftoff, a tumble, and departures from the limits of the model."""
         tumble_s, burnout_s = self.event_s(EVENT_NAMES[TUMBLE]), self.event_s(EVENT_NAMES[BURNOUT])
         since = f", {tumble_s - burnout_s:.3f} s after burnout" if tumble_s >= burnout_s else ""
         said = []
@@ -154,10 +155,7 @@ class Flight(Tabular):
 
     @property
     def beyond_model(self) -> tuple[str, ...]:
-        """Return a line with its first time for each departure from the limits of the model.
-
-        A breaking wave is such a departure.
-        """
+        """Return a line, with its first time, for each departure from the limits of the model: a breaking wave."""
         return tuple(
             f"wave breaks at {e.time_s:.3f} s in {e.detail.split(':')[0]}"
             for e in self.events
@@ -171,14 +169,14 @@ class Flight(Tabular):
 
 
 def copied(rows: LoggedRows) -> LoggedRows:
-    """Return a copy of rows, which the next segment does not overwrite."""
+    """Return a copy of log rows, which the next segment does not overwrite."""
     return {group: (times.copy(), values.copy()) for group, (times, values) in rows.items()}
 
 
 class GrowingRows:
-    """The rows of all segments so far, in arrays larger than needed, so that a long log is never in memory twice.
+    """The log rows of all segments so far, in arrays larger than needed, so that no long log is copied as a whole.
 
-    The unused part of them takes address space only.
+    The unused part of the arrays takes address space only.
     """
 
     def __init__(self) -> None:

@@ -1,9 +1,8 @@
-"""External flight code in a flight: found as the scenario names it, started, and called by the compiled flight.
+"""The external flight code of a flight: it is verified, started, and called by the compiled flight.
 
-instances.py defines the running code. Another process flies a guarded flight (guard.py), and only that process loads or
-imports the code. If the code crashes or does not return, that process ends the flight, and log and summary are closed
-as always. In this way flights on several threads run Python code on several processors. Without `os.fork` no flight is
-guarded.
+instances.py defines the running code. A guarded flight is flown by another process (guard.py), which alone loads or
+imports the code. If the code crashes or does not return, the flight ends, and log and summary are closed as usual.
+Flights on several threads can therefore run Python code on several processors. Without `os.fork`, no flight is guarded.
 """
 
 from __future__ import annotations
@@ -32,14 +31,14 @@ _COMMANDS = ("gimbal_rad[0], pitch", "gimbal_rad[1], yaw", "roll_gimbal_rad")
 
 
 def title(computer: ComputerSection) -> str:
-    """Return a title of the flight code, for messages."""
+    """Return the displayed name or the address of the flight code, for messages."""
     found = computer.library or computer.python
     return found.title if found is not None else computer.address or ""
 
 
 @lru_cache(maxsize=64)
 def _announce(code: str, sha256: str) -> None:
-    """Report, once per process, that external code is run, because a log or a scenario of others may name some."""
+    """Log a warning, once per process, that external code is run, because a foreign log or scenario may name code."""
     mark = f" (sha256 {sha256[:16]})" if sha256 else ""
     logging.getLogger("maxq").warning("maxq: flies flight code from outside: %s%s", code, mark)
 
@@ -51,14 +50,14 @@ def guards(loaded: LoadedScenario) -> bool:
 
 
 def checked(loaded: LoadedScenario) -> ComputerSection:
-    """Return the computer, after checking that its code exists and is as specified, without running it.
+    """Return the scenario's computer after a check that its code and data have the recorded hashes.
 
-    Raises ScenarioError.
+    Code is not run by the check. Raises ScenarioError.
     """
     computer = loaded.vehicle.computer
     assert computer is not None
     for key, file in computer.hashed_files.items():
-        if key == "sources":  # not run
+        if key == "sources":  # the code that runs is the library
             continue
         where = f"{KEY}.{key}"
         try:
@@ -92,7 +91,7 @@ def setup_of(computer: ComputerSection, packed_computer: Any, start_ns: int) -> 
 
 
 class FlightSoftware:
-    """The flight code of one flight. `held` gives the windows of a held flight (held_code.py)."""
+    """The flight code of a flight. `held` contains the windows of a held flight (held_code.py)."""
 
     def __init__(self, loaded: LoadedScenario, held: CodeWindows | None = None) -> None:
         self._held = held
@@ -106,9 +105,9 @@ class FlightSoftware:
         self._end: Callable[[], object] = lambda: None
 
     def start(self, arrays: Arrays) -> Arrays:
-        """Start the code on a flight at its start, and return the arrays of the flight.
+        """Start the code for a flight that is at its start, and return the arrays of the flight.
 
-        They are in shared memory if the flight is guarded. Raises ScenarioError if the code cannot be started.
+        The arrays of a guarded flight are in shared memory. Raises ScenarioError if the code cannot be started.
         """
         memory = arrays[MEMORY][0]
         setup = setup_of(self._computer, arrays[0][0].computer, int(memory.clock.now_ns))
@@ -134,7 +133,7 @@ class FlightSoftware:
         return self._arrays
 
     def advance(self, until_ns: int) -> None:
-        """Fly until `until_ns` or the end of the flight. If the code's process ends, the flight ends too."""
+        """Fly until `until_ns` or the end of the flight. The flight also ends if the process of the code ends."""
         if self._worker is None:
             advance_to(until_ns, self._arrays)
             self._said = self._instance.error if self._instance is not None else ""
@@ -144,11 +143,14 @@ class FlightSoftware:
             self._arrays[MEMORY][0].clock.finished = 1
 
     def close(self) -> None:
-        """End the flight, after which another flight may use the arrays; a second call has no effect."""
+        """End the code of the flight. Another flight may then use shared arrays. A second call has no effect."""
         self._end()
 
     def complaint(self, state: Any) -> str:
-        """Return the reason for which the flight code ended the flight, from its ExternalState; empty if it has not."""
+        """Return the reason for which the flight code ended the flight, or an empty string if it has not.
+
+        `state` is the ExternalState in the memory of the flight.
+        """
         fault, code = int(state.fault), int(state.code)
         if fault == 0:
             return self._said
@@ -165,7 +167,7 @@ class FlightSoftware:
 
 
 def _signal_name(code: int) -> str:
-    """Return the reason for which a process ended, from its exit code."""
+    """Return the reason for the end of a process, from its exit code or, if negative, its signal."""
     if code >= 0:
         return f"its process ended with exit code {code}"
     try:

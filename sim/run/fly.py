@@ -1,4 +1,4 @@
-"""The flight of a scenario from Python: in one call, or segment by segment."""
+"""The flight of a scenario from Python, in one call or segment by segment."""
 
 from __future__ import annotations
 
@@ -67,15 +67,15 @@ if TYPE_CHECKING:
     from maxq.sim.run.flight_software import FlightSoftware
     from maxq.sim.run.held_code import CodeWindows
 
-_SEGMENT_NS = 1_000_000_000  # one log chunk
-_UNSEEN_NS = 60_000_000_000  # a tenth of a second's work
-_MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # limits of a segment: tens of milliseconds of work, 10 MB of rows
-_FEW = 1_000  # steps and rows: a segment with fewer may be longer
+_SEGMENT_NS = 1_000_000_000  # a log chunk
+_UNSEEN_NS = 60_000_000_000  # a tenth of a second of computing
+_MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # limits of a segment: tens of milliseconds of computing, 10 MB of rows
+_FEW = 1_000  # steps or rows; a segment with fewer of both may be longer
 
 IGNITION_NAME, FAULT_NAME, FAULT_END_NAME = "ignition", "fault", "fault_end"
 CUTOFF_NAME, RESTART_NAME, RAIL_EXIT_NAME = "cutoff", "restart", "rail_exit"
 BOOSTER_NAMES = ("booster_ignition", "booster_burnout")
-_OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # which each stage has
+_OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # events of each stage
 CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
 SOFTWARE_NAME = "flight_software"  # external flight code has ended the flight
 BROKEN_WAVE = "the wave breaks; from here on, the pendulum model is not valid"
@@ -86,17 +86,18 @@ _channel_table, _state_names = lru_cache(maxsize=8)(channel_table), lru_cache(ma
 
 @lru_cache(maxsize=8)
 def _logged(on: int, sizes: Sizes, *counts: int) -> Records:
-    """Return the sizes of the log for the kernel, which only reads them."""
+    """Return the sizes of the log as a record, which the kernel does not change."""
     return pack([Logged(on, sizes, *counts)])
 
 
 class FlightRun:
-    """A flight in progress: `fly_segment` until `finished`, then `result`.
+    """A flight in progress. Call `fly_segment` until it is `finished`, and then `result`.
 
-    The constructor loads the compiled kernels, or compiles them (about half a minute, once). `segment_ns`: length of a
-    segment, a multiple of the step. The default is 1 s, less if that is many steps or log rows, and more if it is few.
-    It is 4 s for a flight in another process, which must be woken for each segment. `held` is required of a held flight
-    with external flight code (held_code.py).
+    The constructor loads the compiled kernels, or compiles them (about half a minute, once). `packed` defaults to the
+    packing of the scenario. Without `log`, no rows are kept. `segment_ns` is the length of a segment, a multiple of the
+    step. By default, it is about 1 s, but less for many steps or log rows and more for few. With external flight code,
+    it is about 4 s, to reduce exchanges with the other process. `held` contains the windows of a held flight with
+    external flight code (held_code.py).
     """
 
     def __init__(
@@ -131,7 +132,7 @@ class FlightRun:
         longest_ns = _SEGMENT_NS * (4 if external else 1)
         self.segment_ns = segment_ns or _segment_ns(step_ns, min(periods_ns.values()), longest_ns)
         self._logged = self._on if log else self._off
-        longest_ns = int(self.packed.parameters["timeline"]["step_ns"].max())  # a segment ends with a whole step
+        longest_ns = int(self.packed.parameters["timeline"]["step_ns"].max())  # a segment ends at the end of a step
         self._rows = {
             group: self._blank(group, (self.segment_ns + longest_ns) // period_ns + 4 if log else 1)
             for group, period_ns in periods_ns.items()
@@ -144,14 +145,14 @@ class FlightRun:
             self._advance(self._now_ns, self._logged, self._rows)
         self._software: FlightSoftware | None = None
         if external:
-            from maxq.sim.run.flight_software import FlightSoftware  # noqa: PLC0415  # lazy: few flights have any
+            from maxq.sim.run.flight_software import FlightSoftware  # noqa: PLC0415  # lazy: rarely needed
 
             self._software = FlightSoftware(loaded, held)
             self._own = self._arrays(self._logged, self._rows)
             self._hold(self._software.start(self._own))
 
     def _arrays(self, logged: Any, room: LoggedRows) -> tuple[Any, ...]:
-        """Return the arguments of `advance` except `until_ns`."""
+        """Return the arguments of `advance` in order, except `until_ns`."""
         p, (fast_ns, fast), (slow_ns, slow) = self.packed, room[FAST], room[SLOW]
         return (
             p.parameters,
@@ -168,14 +169,14 @@ class FlightRun:
         )
 
     def _hold(self, arrays: tuple[Any, ...]) -> None:
-        """Bind the state of the flight and its buffers to these arrays, given as `_arrays` returns them."""
+        """Use these arrays, in the order of `_arrays`, for the state of the flight and its buffers."""
         _, _, memory, state, self._arena, _, fast_ns, fast, slow_ns, slow, self._counts = arrays
         self.packed = replace(self.packed, memory=memory, state=state)
         self._rows = {FAST: (fast_ns, fast), SLOW: (slow_ns, slow)}
 
     @property
     def clock(self) -> Clock:
-        """Return the clock of the flight in Python's numbers, since a record is slow to read."""
+        """Return the clock of the flight as Python numbers, because reading a record is slow."""
         return Clock(*self.packed.memory["clock"][0].item())
 
     @property
@@ -196,10 +197,7 @@ class FlightRun:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """Return all events so far in order of time.
-
-        Each stage has its ignition, burnout and separation, if they occurred.
-        """
+        """Return all events so far, in order of time."""
         clock, timelines = self.clock, self.packed.parameters["timeline"]
         start_ns = to_ns(self.loaded.scenario.run.start_s)
         found = []
@@ -207,7 +205,7 @@ class FlightRun:
             number = index + 1 if len(timelines) > 1 else 0
             ignition_ns, goes_on = int(timelines["burn_start_ns"][index]), timelines["continues"][index] > 0
             if goes_on and ignition_ns > timelines["separation_ns"][index - 1]:
-                goes_on = False  # the core ignites after its boosters have left
+                goes_on = False  # the core ignites after the separation of its boosters
             if start_ns <= ignition_ns <= clock.now_ns and ignition_ns < NEVER and not goes_on:
                 found.append(Event(IGNITION_NAME, ignition_ns, number))
             for name, times_ns in zip(_OF_STAGES, (clock.stage_burnout_ns, clock.stage_separation_ns), strict=True):
@@ -228,7 +226,7 @@ class FlightRun:
         return tuple(sorted(found, key=lambda event: event.time_ns))
 
     def _boosters(self, clock: Clock, start_ns: int) -> Iterator[Event]:
-        """Yield ignition and burnout of the boosters so far, as long as they are attached."""
+        """Yield the ignitions and burnouts so far of boosters while they are attached."""
         several = len(self.packed.parameters) > 1
         for name, stage, *instants in self.packed.boosters:
             begins_ns = int(clock.stage_separation_ns[stage - 1]) if stage > 0 else start_ns
@@ -239,7 +237,7 @@ class FlightRun:
                     yield Event(kind, time_ns, (stage + 1) * several, name)
 
     def _burns(self, clock: Clock) -> Iterator[Event]:
-        """Yield the cutoffs before restarts, and the restarts."""
+        """Yield the restarts so far, and the cutoffs before restarts."""
         several = len(self.packed.parameters) > 1
         for n in range(clock.restarts):
             yield Event(RESTART_NAME, int(clock.restart_ns[n]), (int(clock.restart_stage[n]) + 1) * several)
@@ -248,22 +246,22 @@ class FlightRun:
             yield Event(CUTOFF_NAME, time_ns, (stage + 1) * several)
 
     def _cutoffs_ns(self, clock: Clock) -> list[int]:
-        """Return the times of the cutoffs before restarts."""
+        """Return the times of the cutoffs before restarts, ns."""
         times_ns = [int(time_ns) for time_ns in clock.restart_cut_off_ns[: clock.restarts]]
         return [*times_ns, clock.cut_off_ns] if self._awaits_restart(clock) else times_ns
 
     def _is_no_burnout(self, clock: Clock, index: int) -> bool:
-        """Return True if the burnout of a stage is a cutoff before a restart, or happened in the stage before."""
+        """Return True if the burnout of a stage is a cutoff before a restart, or that of the preceding stage."""
         time_ns, before_ns = (int(clock.stage_burnout_ns[k]) for k in (index, index - 1))
         return time_ns in self._cutoffs_ns(clock) or (index > 0 and time_ns == before_ns)
 
     def _awaits_restart(self, clock: Clock) -> bool:
-        """Return True in a coast before a restart."""
+        """Return True if the vehicle is in a coast before a restart."""
         burns = self.packed.parameters[clock.stage].computer.burns
         return 0 < clock.cut_off_ns <= clock.now_ns and clock.restarts + 1 < burns.count
 
     def _broken_waves(self, clock: Clock) -> list[Event]:
-        """Return the first time at which a wave breaks in each tank, for the stages so far."""
+        """Return the first breaking of a wave, for each slosh mode in which it has occurred, in the stages so far."""
         found = []
         broken_ns = self.packed.memory["waves"]["broke_ns"][0].tolist()
         for index, stage in enumerate(self.loaded.vehicle.stage[: clock.stage + 1]):
@@ -277,7 +275,7 @@ class FlightRun:
         return found
 
     def _largest_wave(self) -> tuple[float, float]:
-        """Return the metric `max_wave_share` and its time, s."""
+        """Return the metric `max_wave_share` and its time, s; nan without a tank radius."""
         if all(tank.radius_m is None for stage in self.loaded.vehicle.stage for tank in stage.tank):
             return math.nan, math.nan
         waves = self.packed.memory["waves"]
@@ -287,7 +285,7 @@ class FlightRun:
 
     @property
     def outcome(self) -> str:
-        """Return `diverged`, the event of run.stop_at that ended the flight, `duration`, or `interrupted`."""
+        """Return the reason for the end of the flight, as in `Flight.outcome`."""
         clock, memory = self.clock, self.packed.memory
         if memory["computer"]["external"]["fault"][0] != 0:
             return SOFTWARE_NAME
@@ -302,7 +300,7 @@ class FlightRun:
         return "duration"
 
     def _faults(self, clock: Clock, start_ns: int) -> Iterator[Event]:
-        """Yield begin and end of the faults so far; faults of a stage appear only while that stage flies."""
+        """Yield the beginnings and ends of faults so far. A fault of a stage is limited to the flight of that stage."""
         stages = len(self.packed.parameters)
         left_ns = [int(t) if t >= 0 else NEVER for t in clock.stage_separation_ns[:stages]]
         for fault in self.loaded.scenario.fault:
@@ -319,9 +317,9 @@ class FlightRun:
                 yield Event(FAULT_END_NAME, end_ns, number, fault.text)
 
     def fly_segment(self, length_ns: int | None = None) -> LoggedRows:
-        """Fly to the next multiple of `length_ns`, itself a multiple of the step (default: `segment_ns`).
+        """Fly to the next multiple of `length_ns`, a multiple of the step (default: `segment_ns`).
 
-        Returns the log rows of the segment, in logged units. They are views that the next segment overwrites.
+        Returns the log rows of the segment in logged units. They are views that the next segment overwrites.
         """
         length_ns = length_ns or self.segment_ns
         until = (self._now_ns // length_ns + 1) * length_ns
@@ -330,18 +328,18 @@ class FlightRun:
         if self._software is not None and self.finished:
             rows = copied(rows)
             for own, flown in zip(self._own[2:5], self._arrays(self._logged, self._rows)[2:5], strict=True):
-                own[:] = flown  # memory, state and arena: another flight may use the shared ones from now on
+                own[:] = flown  # memory, state and arena; another flight may use the shared arrays after `close`
             self._hold(self._own)
             self._software.close()
         self.wall_s += time.perf_counter() - start
         return rows
 
     def present(self) -> dict[str, float]:
-        """Return every channel at this instant, in logged units, without changing the flight."""
+        """Return the value of every channel at this instant, in logged units, without a change of the flight."""
         kept, room = self.packed, {group: self._blank(group, 1) for group in self._rows}
         self.packed = replace(kept, memory=kept.memory.copy(), state=kept.state.copy())
         clock = self.packed.memory["clock"]
-        clock["finished"], clock["started"] = 1, 1  # as at a flight's end, where the last instant is logged
+        clock["finished"], clock["started"] = 1, 1  # as at the end of a flight, whose last instant is logged
         try:
             rows = self._advance(self._now_ns, self._on, room)
         finally:
@@ -353,7 +351,7 @@ class FlightRun:
         }
 
     def result(self, rows: LoggedRows | None = None) -> Flight:
-        """Return the flight so far; `rows` are the log rows that the caller has kept."""
+        """Return the result of the flight so far. `rows` are the log rows that the caller has kept."""
         clock, memory, scenario = self.clock, self.packed.memory, self.loaded.scenario
         events, final, outcome = self.events, self.present(), self.outcome
         times_s = [t / 1e9 if t >= 0 else math.nan for t in memory["extremes"]["time_ns"][0].tolist()]
@@ -408,7 +406,7 @@ class FlightRun:
         )
 
     def _of_launch(self, times_s: dict[str, float]) -> dict[str, float]:
-        """Return the metrics of the launch, and write their times."""
+        """Return the metrics of the launch, and write their times into `times_s`."""
         launch, scenario = self.packed.memory["launch"][0], self.loaded.scenario
         values = launch.clearance_m, launch.drift_m, launch.rail_exit_mps, math.degrees(launch.bending_radps)
         times_ns = launch.clearance_ns, launch.drift_ns, launch.rail_exit_ns, launch.bending_ns
@@ -423,7 +421,7 @@ class FlightRun:
         return found
 
     def _of_cutoff(self, earth: Earth, times_s: dict[str, float]) -> dict[str, float]:
-        """Return the metrics of the last cutoff by the guidance, and write their times."""
+        """Return the metrics of the last cutoff by the guidance, and write their times into `times_s`."""
         burnout, ends, clock = self.packed.memory["burnout"][0], self.loaded.scenario.guidance.ends, self.clock
         burning = int(self.packed.memory["held"]["burning"][0])
         happened = clock.restarts > 0 or 0 < clock.cut_off_ns <= burnout.time_ns  # a cutoff may be due after the end
@@ -434,7 +432,7 @@ class FlightRun:
         return cutoff_metrics(earth, end, tuple(burnout.r_I_m.tolist()), tuple(burnout.v_I_mps.tolist()))._asdict()
 
     def _missed_orbit(self) -> tuple[str, ...]:
-        """Return a failure if the last engine burned out before the guidance cut it off."""
+        """Return a failure if the last engine burned out before its cutoff by the guidance."""
         clock, ends = self.clock, self.loaded.scenario.guidance.ends
         burned_out = clock.stage_burnout_ns[len(self.packed.parameters) - 1] >= 0
         if self.packed.parameters[-1].computer.burns.count == 0 or not burned_out or clock.cut_off_ns > 0:
@@ -449,7 +447,7 @@ class FlightRun:
         return (f"the engine burned out before closed-loop guidance{which} reached the orbit",)
 
     def state_hash(self) -> str:
-        """Return the SHA-256 over the last state, time and events, which is equal for bit-identical flights."""
+        """Return the SHA-256 of the last state, time and event times, which is equal for bit-identical flights."""
         clock = self.clock
         flown = self.packed.state[: len(_state_names(self.packed.sizes))]  # without the unused entries
         digest = hashlib.sha256(flown.tobytes())
@@ -478,10 +476,10 @@ class FlightRun:
 def fly(
     loaded: LoadedScenario, *, log: bool = True, watch: Callable[[FlightRun, LoggedRows], None] | None = None
 ) -> Flight:
-    """Fly a scenario to its end. `log=False` keeps no channels and is fastest.
+    """Fly a scenario to its end, and return the flight. With `log=False`, no channels are kept, which is fastest.
 
     `watch` is called with the run and its rows after every segment (1 s of simulated time, or about a thousand steps).
-    A flight that diverges is a result (`outcome`, `cause`), not an exception.
+    The divergence of a flight raises no exception; `outcome` and `cause` of the result report it.
     """
     run = FlightRun(loaded, log=log)
     if not log and watch is None:  # no observer between segments
@@ -497,9 +495,10 @@ def fly(
 
 
 def with_half_step(flight: Flight) -> LoadedScenario | None:
-    """Return the scenario of an inexact flight with half the step, or None for another flight and after MOST_HALVINGS.
+    """Return the scenario of an inexact flight with half the step.
 
-    The scenario follows from the flight's inputs alone, so that a repetition has the same step.
+    The result is None for an exact or interrupted flight, and after MOST_HALVINGS. It depends only on the inputs of the
+    flight, so that a repetition has the same step.
     """
     loaded, run = flight.scenario, flight.scenario.scenario.run
     if not flight.inexact or flight.outcome == "interrupted" or run.halvings >= MOST_HALVINGS:
@@ -509,10 +508,10 @@ def with_half_step(flight: Flight) -> LoadedScenario | None:
 
 
 def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
-    """Return the channels of a scenario's flights; `sizes`: those of the widest stage.
+    """Return the channels of a scenario's flights. `sizes` are the largest sizes of all stages.
 
-    A tank without a name is called by its number. Tanks with different names in the stages are called by all of them
-    (lox_or_hydrogen).
+    A tank without a name is denoted by its number. A tank with different names in several stages is denoted by all of
+    them (lox_or_hydrogen).
     """
     of_stages = zip_longest(*(stage.pendulum_names for stage in scenario.vehicle.stage), fillvalue="")
     names = tuple("_or_".join(dict.fromkeys(filter(None, each))) for each in of_stages)
@@ -537,13 +536,13 @@ def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
 
 
 def _flown_design(scenario: Scenario) -> Design | None:
-    """Return the design that the computer flies, or None without one."""
+    """Return the design that the computer runs, or None without a computer or with external flight code."""
     computer = scenario.vehicle.computer
     return None if computer is None or computer.law == "external" else scenario.design
 
 
 def _adapts(scenario: Scenario) -> bool:
-    """Return True if any stage flies adaptive augmenting control."""
+    """Return True if adaptive augmenting control is used in any stage."""
     design = _flown_design(scenario)
     if design is None:
         return False
@@ -551,22 +550,19 @@ def _adapts(scenario: Scenario) -> bool:
 
 
 def _drifts(scenario: Scenario) -> bool:
-    """Return True if the law feeds back the drift."""
+    """Return True if the control law feeds back the drift."""
     design = _flown_design(scenario)
     return design is not None and design.law in DRIFT
 
 
 def engine_names(scenario: Scenario) -> tuple[str, ...]:
-    """Return a name or number for each engine of the stage with the most engines.
-
-    The result is empty for a vehicle of single engines.
-    """
+    """Return a name or number for each engine of the stage with the most engines; empty for a single engine."""
     engines = max((stage.engines for stage in scenario.vehicle.stage), key=len)
     return tuple(e.name or str(i + 1) for i, e in enumerate(engines)) if len(engines) > 1 else ()
 
 
 def load_stations(scenario: Scenario) -> tuple[str, ...]:
-    """Return a description of each station of the section loads: its place, on the stages that have it."""
+    """Return a description of each station of the section loads, with its position on all stages."""
     if not scenario.switches.section_loads:
         return ()
     of_stages = [stage.loads.stations_m for stage in scenario.vehicle.stage if stage.loads is not None]
@@ -579,7 +575,7 @@ def _logs_waves(scenario: Scenario, sizes: Sizes) -> bool:
 
 
 def _above_the_wind(scenario: Scenario, highest_m: float) -> tuple[str, ...]:
-    """Return a failure if the flight rose above a wind profile that must cover it (wind.outside = "error")."""
+    """Return a failure if the flight rose above a wind profile that must cover it, with wind.outside = "error"."""
     wind = scenario.wind
     if wind.outside == "hold" or wind.profile is None:
         return ()
@@ -590,10 +586,10 @@ def _above_the_wind(scenario: Scenario, highest_m: float) -> tuple[str, ...]:
 
 
 def _segment_ns(step_ns: int, shortest_log_ns: int, longest_ns: int) -> int:
-    """Return the length of a segment: a multiple of the step, near `longest_ns`.
+    """Return the length of a segment, ns: a multiple of the step, near `longest_ns`.
 
-    It is less than `longest_ns` if that is many steps or rows, and more if it is few of both. A flight can be
-    interrupted, and its rows are written, only between two segments.
+    It is less than `longest_ns` for many steps or rows, and more for few of both. Only between two segments can a
+    flight be interrupted and are its rows written.
     """
     usual_ns = max(longest_ns, _FEW * min(step_ns, shortest_log_ns))
     longest = min(usual_ns, _MOST_STEPS * step_ns, _MOST_ROWS * shortest_log_ns)

@@ -1,9 +1,9 @@
-"""Processes that fly external flight code, so that a crash or an endless loop ends only one flight.
+"""The processes that fly external flight code, so that a crash or an endless loop ends a single flight only.
 
-A worker is forked with memory that both processes share, and flies the flight in it. After a flight the worker waits
-for the next one with the same code, because a fork costs as much as a third of a flight. A library is unloaded in
-between, so that each flight begins as in a fresh process. If a part of the code would remain (Python modules, a library
-that cannot be unloaded or that has started threads), the worker ends with its flight.
+A worker is forked with shared memory, in which it flies the flight. After a flight, the worker is reused for the next
+flight with the same code, because a fork takes as long as a third of a flight. A library is unloaded in between, so
+that each flight begins as in a fresh process. If a part of the code would remain (Python modules, a library that cannot
+be unloaded or has started threads), the worker ends with its flight.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ from maxq.sim.run.instances import Instance, Setup, Unusable, started
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
 Arrays = tuple[NDArray[Any], ...]
-"""The arguments of `loop.advance`, in its order without `until_ns`."""
+"""The arguments of `loop.advance` in order, except `until_ns`."""
 MEMORY = 2  # index of the flight's memory in Arrays
 
-STARTING = 2  # of `inside`: while an instance is made
-_SMALLEST = 1 << 24  # shared bytes of a worker; the unused part takes no memory
-IMPORT_S = 30.0  # additional time for the start of Python code, which each of its processes imports
-_SOCKET_S = 5.0  # additional time for a socket, which has a separate time limit
+STARTING = 2  # value of `inside` while an instance is made
+_SMALLEST = 1 << 24  # least shared memory of a worker, bytes; the unused part takes no memory
+IMPORT_S = 30.0  # additional time limit for the start of Python code, which each process imports
+_SOCKET_S = 5.0  # additional time limit for a socket, which has a separate time limit
 _POLL_S = 0.05
-_FORK = threading.RLock()  # reentrant, because garbage may be collected while it is held
+_FORK = threading.RLock()  # reentrant, because a garbage collection may release a worker while the lock is held
 _idle: list[Worker] = []
-_lines: dict[Any, int] = {}  # this process's ends, and the process at the other end of each
-_leaving: set[int] = set()  # processes asked to end
+_lines: dict[Any, int] = {}  # the connections to workers, and the process at the other end of each
+_leaving: set[int] = set()  # ids of processes that are ending
 
 
 class Worker:
-    """A process that flies the code of `computer` on arrays of the types `kinds`."""
+    """A process that flies the code of `computer` on arrays of the types `kinds` in `size` bytes of shared memory."""
 
     def __init__(self, computer: ComputerSection, kinds: list[np.dtype[Any]], size: int) -> None:
         self.computer, self.kinds, self.size = computer, kinds, size
@@ -58,7 +58,7 @@ class Worker:
         with _FORK:
             self._line, theirs = Pipe()
             _lines[self._line] = 0  # closed in the other process
-            for stream in (sys.stdout, sys.stderr):  # or both processes would write the buffered output
+            for stream in (sys.stdout, sys.stderr):  # otherwise, both processes would write the buffered output
                 with contextlib.suppress(OSError, ValueError, AttributeError):
                     stream.flush()
             self._pid = os.fork()
@@ -70,7 +70,10 @@ class Worker:
         self._answers.register(self._line.fileno(), select.POLLIN)
 
     def start(self, arrays: Arrays, setup: Setup, held: CodeWindows | None = None) -> tuple[Arrays, bool, str]:
-        """Start a flight: return the arrays in shared memory, True if the code was started, and its message."""
+        """Copy `arrays` into shared memory, and start the code of a flight.
+
+        Returns the shared arrays, True if the code was started, and the message of an error.
+        """
         shapes = [array.shape for array in arrays]
         placed = _placed(self._room, self.kinds, shapes)
         for room, array in zip(placed, arrays, strict=True):
@@ -81,12 +84,16 @@ class Worker:
         return placed, *self._done(b"S" + pickle.dumps((shapes, bytes(setup), held)))
 
     def advance(self, until_ns: int) -> tuple[bool, str]:
-        """Advance the flight; return False, and note the fault in its memory, if it failed."""
+        """Advance the flight to `until_ns`.
+
+        Returns True and the message of the code. If the process ends, the fault is written into the memory of the
+        flight, and the result is False with an empty message.
+        """
         return self._done(b"A" + until_ns.to_bytes(8, sys.byteorder, signed=True))
 
     def release(self) -> None:
         """End the flight: close the code, and keep the worker for the next flight if no part of the code remains."""
-        self._seen["inside"][0] = 1  # or it could take any time
+        self._seen["inside"][0] = 1  # otherwise, closing would have no time limit
         clean = self._pid > 0 and self._done(b"C")[0]
         self._seen.clear()
         if not clean:
@@ -99,7 +106,7 @@ class Worker:
             oldest.end()
 
     def end(self) -> None:
-        """End the process."""
+        """Close the connection, which ends the process."""
         _lines.pop(self._line, None)
         self._line.close()
         if self._pid > 0:
@@ -107,7 +114,10 @@ class Worker:
         _reap()
 
     def _done(self, order: bytes) -> tuple[bool, str]:
-        """Return the process's answer to an order, or the fault if there is none and the process has ended."""
+        """Send an order to the process, and return its answer: success and a message.
+
+        If the process ends, or exceeds its time limit and is killed, the fault is written into the flight's memory.
+        """
         calls = int(self._seen["calls"][0])
         limit_s = time_limit_s(self.computer, int(self._seen["inside"][0])) + _SOCKET_S * bool(self.computer.address)
         with contextlib.suppress(OSError):
@@ -136,12 +146,12 @@ class Worker:
 
 
 def time_limit_s(computer: ComputerSection, inside: int) -> float:
-    """Return the time after which flight code that does not return is stuck; `inside`: as in its state."""
+    """Return the time limit for a call of flight code, s. `inside` is the field of ExternalState."""
     return computer.timeout_s + (IMPORT_S if computer.python is not None and inside == STARTING else 0.0)
 
 
 def worker_for(computer: ComputerSection, arrays: Arrays) -> Worker:
-    """Return a waiting worker, or a new one."""
+    """Return an idle worker with the same code and sufficient memory, or a new worker."""
     kinds, size = [array.dtype for array in arrays], _places([array.nbytes for array in arrays])[-1]
     _reap()
     with _FORK:
@@ -153,12 +163,12 @@ def worker_for(computer: ComputerSection, arrays: Arrays) -> Worker:
 
 
 def _code(computer: ComputerSection) -> tuple[Any, ...]:
-    """Return the part of the computer that determines a worker; the rest comes with each flight's set-up."""
+    """Return the keys of the computer that must be equal for a worker; the others are set for each flight."""
     return computer.library, computer.python, computer.data, computer.address, computer.timeout_s
 
 
 def _reap() -> None:
-    """Collect the processes that have ended."""
+    """Collect the exit status of processes that have ended."""
     for pid in tuple(_leaving):
         with contextlib.suppress(ChildProcessError):
             if os.waitpid(pid, os.WNOHANG)[0] == 0:
@@ -179,7 +189,7 @@ def kill_workers() -> None:
 
 
 def _forget() -> None:
-    """Forget the workers in a forked process, because they belong to its parent."""
+    """Discard the workers in a forked process, because they belong to its parent."""
     for line in _lines:
         line.close()
     _lines.clear()
@@ -193,7 +203,7 @@ if hasattr(os, "fork"):
 
 
 def _places(sizes: Sequence[int]) -> list[int]:
-    """Return the starts of arrays of these bytes in shared memory, and the end of the last one."""
+    """Return the offsets of arrays of these sizes in shared memory, aligned to 64 bytes, and the end of the last."""
     ends = [0]
     for size in sizes:
         ends.append(ends[-1] + -(-size // 64) * 64)
@@ -210,7 +220,7 @@ def _placed(room: mmap.mmap, kinds: Sequence[np.dtype[Any]], shapes: Sequence[tu
 
 
 class _Flying:
-    """The worker's side of the connection."""
+    """The worker's end of the connection, which carries out orders."""
 
     def __init__(self, line: Any, room: mmap.mmap, computer: ComputerSection, kinds: list[np.dtype[Any]]) -> None:
         self._line, self._room, self._computer, self._kinds = line, room, computer, kinds
@@ -219,10 +229,10 @@ class _Flying:
         self._restricted = False
 
     def serve(self) -> NoReturn:
-        """Carry out orders until the connection ends."""
+        """Carry out orders until the connection ends, and exit."""
         code = 1
         try:
-            for number in (signal.SIGINT, signal.SIGTERM):  # the parent process handles these
+            for number in (signal.SIGINT, signal.SIGTERM):  # the parent process handles these signals
                 signal.signal(number, signal.SIG_IGN)
         except ValueError:
             pass  # forked by a thread, which is now the main thread
@@ -268,7 +278,10 @@ class _Flying:
 
 
 def instance_for(computer: ComputerSection, setup: Setup, held: CodeWindows | None, state: Any) -> Instance:
-    """Return a started instance for a flight, or for a held flight. Raises Unusable."""
+    """Return a started instance of the code for a flight, or for a held flight if `held` is given.
+
+    `state` is the ExternalState, whose counter shows that a held flight is progressing. Raises Unusable.
+    """
     if held is None:
         return started(computer, setup)
 

@@ -1,7 +1,7 @@
-"""The files that guarded Python flight code may read: hashed ones, and those of the installation.
+"""The restriction of guarded Python flight code to reading hashed files and files of the installation.
 
-The hook sees files that Python opens. It does not see files that compiled code opens, paths relative to an open folder
-(`dir_fd`), processes and sockets.
+An audit hook detects files that Python opens. It does not detect files that compiled code opens, paths relative to an
+open folder (`dir_fd`), processes or sockets.
 """
 
 from __future__ import annotations
@@ -20,14 +20,11 @@ _MODULES = (".py", ".pyc", ".so", ".pyd")
 
 
 class UnhashedFile(PermissionError):
-    """The error of flight code that opens a file which no hash covers."""
+    """The error of flight code that opens a file without a hash."""
 
 
 def installed_folders() -> tuple[str, ...]:
-    """Return the folders of Python, its packages, the system and the cache of maxq.
-
-    The hash of flight code does not cover them.
-    """
+    """Return the folders of Python, its packages, the system and the cache of maxq, whose files need no hash."""
     here, packages = os.getcwd(), [path for path in sys.path if path.rstrip(os.sep).endswith("-packages")]
     prefixes = {sys.prefix, sys.base_prefix, sys.exec_prefix, os.path.dirname(os.__file__), *packages}
     every = (*prefixes, *SYSTEM, str(own_cache("")))
@@ -35,9 +32,9 @@ def installed_folders() -> tuple[str, ...]:
 
 
 def only_hashed_reads(code: Iterable[CodeFile]) -> None:
-    """Let this process open no other file for reading than those of `code` and of the installation.
+    """Restrict this process, permanently, to reading the files of `code` and of the installation.
 
-    It cannot be undone. Opening another file raises UnhashedFile, also in files that are imported later.
+    Any attempt to open another existing file for reading then raises UnhashedFile.
     """
     allowed, roots = {os.path.realpath(path) for one in code for path in one.paths}, installed_folders()
     own = os.path.realpath(Path(__file__).parents[2])

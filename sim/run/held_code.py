@@ -1,25 +1,26 @@
-"""External flight code in a held flight, where it receives the inputs of its own flight.
+"""The external flight code of a held flight, which receives the inputs of an ascent in addition to deviations.
 
-A held flight (design/certificate/held_flight.py) stays at one operating point for minutes. From its clock, mass, speed
-and attitude, flight code could recognise the test. The code therefore receives the inputs of a flight through the
+A held flight (design/certificate/held_flight.py) remains at an operating point for minutes. Flight code could detect
+the test from its clock, mass, speed and attitude. The code therefore receives the inputs of a flight through the
 operating point, plus the deviations of the held flight (control/held_inputs.py). The held vehicle receives the code's
-commands minus those of that flight. Without deviations, the code receives the inputs of its flight, bit for bit.
+commands minus those of that flight. Without deviations, the code receives the inputs of that flight, bit for bit.
 
-Time cannot stay at an operating point for minutes. The held flight is therefore flown in windows of at most
-`WINDOW_S` about the time of the operating point. In each window a fresh instance of the code flies:
+The clock of the code cannot remain at an operating point for minutes. The held flight is therefore divided into windows
+of at most `WINDOW_S` about the time of the operating point, each with a new instance of the code:
 
-1. It receives all inputs of the flight from its start. Its commands must be those of the flight, bit for bit.
-2. Over the last seconds before the window, the deviations of the held flight are added, first gradually. The instance
-   thus has the state that belongs to the motion of the vehicle; another one still commands the vehicle.
-3. It commands the vehicle in the window, while its clock, mass and speed advance as in the flight.
+1. The instance receives all inputs of the flight from its start. Its commands must equal those of the flight, bit for
+   bit.
+2. During the last seconds before the window, the deviations of the held flight are added gradually. The instance thus
+   reaches the state that belongs to the motion of the vehicle, which the preceding instance has commanded.
+3. In the window, the instance commands the vehicle, while its clock, mass and speed advance as in the flight.
 
-Scheduled gains thus vary within a window, and begin again in the next one. Their mean is that of the operating point,
+Scheduled gains thus vary within a window, in the same way in every window. Their mean is that of the operating point,
 so that a growth rate or response changes only to second order. The lengths of the windows differ, which spreads the
 lines at multiples of their rate.
 
-The integral of an instance lacks the deviations before it began to receive them. The command of a linear law then
-differs by a constant from that of the previous instance. The difference of both commands over the same deviations gives
-this constant, which is added in the window (`command_offset`).
+The integral of an instance does not contain the deviations before step 2. The command of a linear law therefore differs
+by a constant from that of the preceding instance. This constant follows from both commands for the same deviations
+(`command_offset`), and is added in the window.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ WINDOW_S, SHORTEST_S, SHORTER = 5.0, 2.0, 0.3
 LISTENED_S, LEAST_LISTENED_S, GRADUAL_S = 6.0, 1.5, 2.0
 UNEXPLAINED_SHARE = 0.05
 DIFFERS = "gives other commands for the same inputs"
-"""The beginning of the message of flight code that fails the replay check."""
+"""The beginning of the error message for flight code that fails the replay check."""
 
 _IN, _OUT = dtype_of(FswInputs), dtype_of(FswOutputs)
 _BLANK = bytes(Outputs(bytes=ctypes.sizeof(Outputs)))
@@ -55,7 +56,7 @@ _COMMANDS = ("gimbal_rad[0]", "gimbal_rad[1]", "roll_gimbal_rad", "roll_thruster
 
 @dataclass(frozen=True)
 class Tape:
-    """The inputs and outputs of flight code at all samples of a flight, (samples,), and the setup of its start."""
+    """The inputs and outputs (samples,) of flight code at all samples of a flight, and the setup at its start."""
 
     setup: bytes
     inputs: Records
@@ -67,17 +68,17 @@ class Tape:
 
 
 def commands_of(outputs: Records) -> Array:
-    """Return the commands, (samples, 4): gimbals in pitch and yaw, rad, roll by gimbals, rad, and roll thrusters."""
+    """Return the commands (samples, 4): gimbal angles in pitch, yaw and roll, rad, and the roll thruster."""
     return np.column_stack([outputs["gimbal_rad"], outputs["roll_gimbal_rad"], outputs["roll_thruster"]])
 
 
 @dataclass(frozen=True)
 class CodeWindows:
-    """The windows of a held flight: rows of the tape of the code's flight, about that of the operating point, `row`.
+    """The windows of a held flight, as ranges of rows of the code's tape about the row of the operating point, `row`.
 
-    - `first`, `last`: rows of the stage.
-    - `rounded`: True if the held flight has the pulses of the tape's flight.
-    - `method`, `limit_rad`: those of the attitude error.
+    - `first`, `last`: first and last row of the stage.
+    - `rounded`: True if the gyro angles of the held flight are rounded to pulses, as on the tape.
+    - `method`, `limit_rad`: method and limit of the attitude error.
     """
 
     tape: Tape
@@ -94,7 +95,7 @@ class CodeWindows:
         return round(time_s / self.sample_s)
 
     def window(self, number: int) -> tuple[int, int]:
-        """Return the first row of a window and that after its last."""
+        """Return the first row of window `number`, from 0, and the row after its last."""
         least = self.first + self.rows(LEAST_LISTENED_S)
         room = 2 * min(self.row - least, self.last - self.row)
         share = 1.0 - SHORTER * ((number * 0.5 * (math.sqrt(5.0) - 1.0)) % 1.0)
@@ -104,16 +105,16 @@ class CodeWindows:
 
     @property
     def span_s(self) -> tuple[float, float]:
-        """Return the times of the longest window, s."""
+        """Return the times of the first and last row of the longest window, s."""
         begin, end = self.window(0)
         times = self.tape.inputs["time_s"]
         return float(times[begin]), float(times[end - 1])
 
 
 class HeldCode(Instance):
-    """Flight code as a held flight calls it: instances in turn, each in a window of its own flight.
+    """The flight code that a held flight calls: a sequence of instances, each for a window.
 
-    `alive` is called now and then while an instance receives the tape. Raises Unusable.
+    `alive` is called regularly while an instance receives the tape. The constructor raises Unusable.
     """
 
     def __init__(self, computer: ComputerSection, held: CodeWindows, alive: Callable[[], None]) -> None:
@@ -166,7 +167,7 @@ class HeldCode(Instance):
         return 0
 
     def _ask(self) -> tuple[float, ...] | None:
-        """Return the commands of the instance for the inputs that are set, or None if it fails."""
+        """Return the commands of the instance for the present inputs, or None if its step fails."""
         assert self._instance is not None
         ctypes.memmove(self._places[2], _BLANK, len(_BLANK))
         code = self._step_of(self._instance.address, *self._places[1:])
@@ -177,7 +178,7 @@ class HeldCode(Instance):
         return a.gimbal_rad[0], a.gimbal_rad[1], a.roll_gimbal_rad, float(a.roll_thruster)
 
     def _next_window(self) -> None:
-        """Start the next instance, and bring it to the begin of its window."""
+        """Start the next instance, and take it to the beginning of its window."""
         held, self._number = self._held, self._number + 1
         begin, self._end = held.window(self._number)
         count = min(begin - held.first, len(self._heard))
@@ -201,7 +202,7 @@ class HeldCode(Instance):
         self._row = begin
 
     def _start_deviations(self, row: int) -> None:
-        """Set the state of the sum as the flight has it before a row."""
+        """Set the state of the superposition to that of the flight before `row`."""
         held, self._state[:] = self._held, blank(Superposition)
         state = self._state[0]
         state.sample_s, state.count_rad, state.rounded = held.sample_s, held.count_rad, int(held.rounded)
@@ -213,7 +214,7 @@ class HeldCode(Instance):
             state.attitude.measured.q[:], state.attitude.measured.last_rad[:] = before.q_BR, before.delta_angle_rad
 
     def _restart(self) -> None:
-        """End the instance and start another one, of which no part has run before as far as a process allows."""
+        """End the instance and start a new one; modules or a library are loaded again as far as a process allows."""
         if self._instance is not None:
             self._instance.close()
             self._instance.unload()
@@ -223,7 +224,7 @@ class HeldCode(Instance):
         self._step_of = StepFunction(self._instance.step)
 
     def _answers(self, inputs: Records) -> Array:
-        """Return the commands of the instance to inputs, one after the other. They end where it fails."""
+        """Return the commands (n, 4) of the instance for consecutive inputs, up to the first failure."""
         assert self._instance is not None
         given, taken = np.array(inputs), np.frombuffer(bytearray(_BLANK * len(inputs)), _OUT)
         address, first_in, first_out = self._instance.address, given.ctypes.data, taken.ctypes.data
@@ -237,7 +238,7 @@ class HeldCode(Instance):
         return commands_of(taken)
 
     def _replay_window(self) -> None:
-        """Give the inputs of the first window to a fresh instance, whose commands must be the same."""
+        """Repeat the inputs of the first window with a new instance, and check that its commands are the same."""
         begin, _ = self._held.window(0)
         self._restart()
         presented = np.frombuffer(b"".join(self._presented), _IN)
@@ -245,7 +246,7 @@ class HeldCode(Instance):
         self._check(answers[begin:], np.array(self._answered), "a held flight", begin)
 
     def _check(self, found: Array, wanted: Array, where: str, first: int = 0) -> None:
-        """Note the first command that differs from that of the same inputs."""
+        """Set `error` if a command `found` differs from `wanted`, both (n, 4); `first` is the row of the first."""
         same = (found == wanted[: len(found)]) | (np.isnan(found) & np.isnan(wanted[: len(found)]))
         if self.error or (same.all() and len(found) == len(wanted)):
             return
@@ -264,17 +265,18 @@ class HeldCode(Instance):
 
 @lru_cache(maxsize=1)
 def load_kernels() -> None:
-    """Load or compile `superpose`, which would otherwise count as time of the flight code."""
+    """Load or compile `superpose`, whose compilation would otherwise count towards the code's time limit."""
     tape, outs = blank(FswInputs), blank(FswInputs)
     superpose(tape, 0, blank(FswInputs), 0, 1.0, blank(Superposition), outs)
 
 
 def command_offset(before: Array, after: Array) -> float:
-    """Return the constant by which the command of one instance differs from that of its successor.
+    """Return the constant by which the command of an instance exceeds that of its successor, rad.
 
-    Both commands, (samples,), are for the same deviations. A difference proportional to the command is that of a gain
-    schedule, of which the windows are the mean. Only a difference that this leaves, of more than `UNEXPLAINED_SHARE` of
-    the command, is a constant, as of an integral that began later.
+    `before` and `after` (samples,) are their commands for the same deviations. A difference proportional to the command
+    results from a gain schedule, which averages out over the windows. If the remaining difference is at most
+    `UNEXPLAINED_SHARE` of the command, the result is 0. Otherwise, an integral that began later has caused a constant,
+    which is fitted by least squares.
     """
     difference, power = before - after, float(after @ after)
     left = difference - (float(difference @ after) / power if power > 0.0 else 0.0) * after
@@ -285,7 +287,7 @@ def command_offset(before: Array, after: Array) -> float:
 
 
 def _forget_modules(folder: Path) -> None:
-    """Remove the modules of a folder from this process, so that an import executes them again."""
+    """Remove the modules in a folder from this process, so that the next import executes them again."""
     module_of.cache_clear()
     for name, module in list(sys.modules.items()):
         file = getattr(module, "__file__", None)

@@ -1,12 +1,12 @@
-"""Running instances of external flight code.
+"""The running instances of external flight code.
 
-For all kinds of code the flight calls a C function with the records of external.py:
+For all kinds of code, the flight calls a C function with the records of control/external.py:
 
-| key | function | where an error shows |
+| key | function | sign of an error |
 |---|---|---|
-| `library` | `maxq_fsw_step` of the library itself | return value |
-| `python` | ctypes around the method `step` | exception |
-| `address` | ctypes around a message and its answer | broken connection, timeout |
+| `library` | `maxq_fsw_step` of the library | return value |
+| `python` | ctypes callback that calls the method `step` | exception |
+| `address` | ctypes callback that sends a message and receives the answer | broken connection, timeout |
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from maxq.sim.scenario.schema_vehicle import ComputerSection
 
 _FUNCTIONS = ("maxq_fsw_abi", "maxq_fsw_bytes", "maxq_fsw_init", "maxq_fsw_step", "maxq_fsw_close")
 _ALIGNMENT = 64
-_MOST_BYTES = 1 << 30  # of an instance
+_MOST_BYTES = 1 << 30  # largest size of an instance
 StepFunction = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
 
 def _structure(name: str, schema: type) -> Any:
-    """Return the record as a ctypes.Structure, for Python code."""
+    """Return a ctypes.Structure with the fields of the record `schema`, for Python code."""
     kinds = {"f": ctypes.c_double, "i": ctypes.c_int64}
     fields: list[tuple[str, Any]] = []
     for field, (kind, _) in (dtype_of(schema).fields or {}).items():  # type: ignore[misc]  # a triple only with a title
@@ -72,7 +72,11 @@ class Unusable(Exception):
 
 
 class Instance(ABC):
-    """Running flight code: the function that the flight calls, and the message of the last call."""
+    """A running instance of flight code.
+
+    `step` is the address of the C function that the flight calls, and `address` that of its first argument. `error` is
+    the message of the first error, or empty.
+    """
 
     step: int
     address = 0
@@ -80,18 +84,15 @@ class Instance(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """End the flight."""
+        """End the instance at the end of the flight."""
 
     def unload(self) -> bool:
-        """Return True if, after `close`, no part of the code remains in this process.
-
-        The next flight then begins afresh.
-        """
+        """Unload the code after `close`, and return True if no part of it remains in this process."""
         return False
 
 
 class _Library(Instance):
-    """An instance of a shared library, in memory of the simulator."""
+    """An instance of a shared library, in memory that the simulator provides."""
 
     def __init__(self, code: CodeFile, setup: Setup) -> None:
         self._file, self._threads = code.file, _threads()
@@ -134,7 +135,7 @@ class _Library(Instance):
 
 
 def _threads() -> int:
-    """Return the number of threads of this process, or 0 if it is unknown."""
+    """Return the number of threads of this process, or 0 if the system does not provide it."""
     try:
         return len(os.listdir("/proc/self/task"))
     except OSError:
@@ -142,7 +143,7 @@ def _threads() -> int:
 
 
 class _InPython(Instance):
-    """The base class of Python flight code behind a C function: a subclass answers inputs with outputs."""
+    """The base class of instances whose step is a Python method behind a C function."""
 
     def __init__(self) -> None:
         self._function = StepFunction(self._called)
@@ -150,7 +151,7 @@ class _InPython(Instance):
 
     @abstractmethod
     def answer(self, inputs: Any, outputs: Any) -> int:
-        """Return the code of the step: 0, or the reason that ends the flight."""
+        """Fill `outputs` for `inputs`, and return the code of the step; any code except 0 ends the flight."""
 
     def _called(self, _: Any, inputs: Any, outputs: Any) -> int:
         try:
@@ -161,7 +162,7 @@ class _InPython(Instance):
 
 
 class _PythonClass(_InPython):
-    """An instance of a class with the method `step(inputs)`, which returns outputs by name."""
+    """An instance of a Python class with the method `step(inputs)`, which returns outputs by name."""
 
     def __init__(self, code: CodeFile, setup: Setup) -> None:
         super().__init__()
@@ -193,9 +194,9 @@ class _PythonClass(_InPython):
 
 @lru_cache(maxsize=8)
 def module_of(file: str, sha256: str) -> ModuleType:
-    """Return the module in a Python file, which may import other files of its folder.
+    """Return the module in a Python file, which may import other files of its folder. Raises Unusable.
 
-    Compiled modules in folders __pycache__ are not used, since the hash of the code does not cover them.
+    Compiled modules in folders __pycache__ are not used, because the hash of the code does not cover them.
     """
     spec = importlib.util.spec_from_file_location(f"maxq_flight_code_{sha256[:12]}", file)
     if spec is None or spec.loader is None:
@@ -218,18 +219,18 @@ def module_of(file: str, sha256: str) -> ModuleType:
 
 
 HEADER = struct.Struct("=4sIq")
-"""The header of a message, in the byte order of this machine.
+"""The header of a message: MAGIC, the kind, and the number of the message, which the answer repeats.
 
-It consists of MAGIC, kind, and the number of the message, which the answer repeats.
+The byte order is that of this machine.
 """
 MAGIC, SETUP, STEP, CLOSE = b"MAXQ", 1, 2, 3
 _CODE = struct.Struct("=q")
 
 
 class _Remote(_InPython):
-    """A computer behind a socket, in lock-step: a message with a struct, an answer with a code and a struct.
+    """A computer behind a socket, in lockstep: each message contains a struct, and its answer a code and a struct.
 
-    Over UDP a message is a datagram. Answers to earlier messages are ignored, and lost messages are not sent again.
+    Over UDP, a message is a datagram. Answers to earlier messages are ignored, and lost messages are not sent again.
     """
 
     def __init__(self, address: str, timeout_s: float, setup: Setup) -> None:
@@ -271,7 +272,7 @@ class _Remote(_InPython):
         return error.strerror.lower() if error.strerror else str(error)
 
     def _ask(self, kind: int, content: bytes, expected: int) -> tuple[int, bytes]:
-        """Return code and content of the answer."""
+        """Send a message, and return the code of its answer and the content, of `expected` bytes. Raises OSError."""
         self._number += 1
         until = time.monotonic() + self._timeout_s
         self._socket.settimeout(self._timeout_s)
@@ -305,7 +306,7 @@ class _Remote(_InPython):
 
 
 def described(error: BaseException) -> str:
-    """Return an exception of flight code on one line, with its place in the code."""
+    """Return a one-line description of an exception in flight code, with its file and line."""
     trace, at = error.__traceback__, ""
     while trace is not None:
         file = trace.tb_frame.f_code.co_filename
@@ -316,7 +317,7 @@ def described(error: BaseException) -> str:
 
 
 def started(computer: ComputerSection, setup: Setup) -> Instance:
-    """Return a running instance of the flight code that `computer` names. Raises Unusable if it cannot be started."""
+    """Return a running instance of the flight code of `computer`. Raises Unusable if it cannot be started."""
     if computer.library is not None:
         return _Library(computer.library, setup)
     if computer.python is not None:

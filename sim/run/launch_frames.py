@@ -24,7 +24,10 @@ ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 class LaunchSite:
-    """The local-level frame ENU at a site: `origin_E_m` (3,), and `enu_E` (3, 3) with rows east, north, up in E."""
+    """The local-level frame at a site: its origin `origin_E_m` (3,), and `enu_E` (3, 3) with rows east, north, up in E.
+
+    On a flat Earth, the axes are those of E.
+    """
 
     def __init__(self, earth: Earth, site: Site) -> None:
         self.earth, self.site = earth, site
@@ -38,10 +41,10 @@ class LaunchSite:
 
 
 class LaunchFrames:
-    """The poses of the body at a site, taken from the slow rows: the first row in each period of `transform_ns`.
+    """The poses of the body relative to the launch site, from the first slow row in each period of `transform_ns`.
 
-    Transforms are therefore at most as frequent as slow rows. Positions are differences from the site in double
-    precision, with a rounding error of a few nanometres.
+    Poses are therefore at most as frequent as slow rows. Positions are differences from the site in double precision,
+    with a rounding error of a few nanometres.
     """
 
     def __init__(self, table: ChannelTable, site: LaunchSite, transform_ns: int) -> None:
@@ -53,7 +56,7 @@ class LaunchFrames:
         self._q_enu_E = quaternion(site.enu_E)
 
     def path(self, times_ns: IntArray, rows: Array) -> FramePath:
-        """Return the next poses from slow rows (n, columns) that follow those of the last call."""
+        """Return the poses in slow rows (n, columns) at `times_ns` (n,), which follow those of the preceding call."""
         periods = times_ns // self._period_ns
         first = np.diff(periods, prepend=self._last_period) > 0
         if len(periods):
@@ -68,7 +71,7 @@ class LaunchFrames:
 
 
 def _product(p: Array, q: Array) -> Array:
-    """Return quaternion products (n, 4), scalar first."""
+    """Return the products (n, 4) of the quaternions `p` and `q` (n, 4), scalar first."""
     pw, px, py, pz = p.T
     qw, qx, qy, qz = q.T
     return np.stack(
@@ -83,8 +86,5 @@ def _product(p: Array, q: Array) -> Array:
 
 
 def plain(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the Python function of a kernel that calls no other kernel.
-
-    A single call does not justify compiling it.
-    """
+    """Return the Python function of a kernel that calls no other kernel, for a call that is not worth compiling."""
     return getattr(function, "py_func", function)

@@ -1,4 +1,4 @@
-"""The largest value of a number of the scenario at which a flight meets all requirements."""
+"""The search for the largest value of a scenario's quantity at which the flight meets all requirements."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.flight import Flight
 
 _INTERVALS = 8
-_DOUBLINGS = 20  # a million first steps
+_DOUBLINGS = 20  # up to a million times the first step
 _BISECTIONS = 40
-_DIGITS = 6  # of a value, which a command line repeats
+_DIGITS = 6  # significant digits of a value, so that a command line can repeat it exactly
 
 
 @dataclass(frozen=True)
 class FoundLimit:
     """The result of `find_limit`.
 
-    `flown`: flights by value, in their order. `met`: last value before the first miss, None if the first value misses.
-    `missed`: first value that misses, None if none does. `refused`: message for the value that ended the search because
-    the scenario does not allow it.
+    - `flown`: flights by value, in order of the distance from the first value.
+    - `met`: last value before the first miss; None if the first value misses.
+    - `missed`: first value whose flight misses a requirement; None if there is none.
+    - `refused`: message for a value that ended the search because the scenario does not allow it.
     """
 
     flown: dict[float, Flight]
@@ -39,13 +40,15 @@ def find_limit(
     """Search from `first` towards `last` for the first value whose flight misses a requirement.
 
     `fly_at` returns the flight at a value and raises ScenarioError for a value that is not allowed. Without `last`, the
-    values grow by steps that double, from a quarter of `first` (1 if that is 0), until a requirement is missed. The
-    range from `first` to this value, or to `last`, is then divided into eight intervals, whose ends are flown in turn.
-    The first interval with a miss at its end is halved, until its length is at most `share` of the distance of its end
-    from `first`. A miss between two values that both meet the requirements is not detected.
+    value is increased by doubling steps, the first of which is a quarter of `first` (1 if `first` is 0), until a
+    requirement is missed. The range from `first` to this value, or to `last`, is then divided into eight intervals,
+    whose ends are flown in turn. The first interval with a miss at its end is halved until its length is at most
+    `share` of the distance of its end from `first`. A miss between two values that both meet the requirements is not
+    detected.
 
     `stop` is called before each flight after the first. If it returns True, or if `fly_at` raises KeyboardInterrupt
-    after the first flight, the result is that of the complete flights. Raises ScenarioError if `first` is not allowed.
+    after the first flight, the result is based on the completed flights. Raises ScenarioError if `first` is not
+    allowed.
     """
     flown: dict[float, Flight] = {}
 
@@ -77,7 +80,7 @@ def find_limit(
 
 
 def _far_end(meets: Callable[[float], bool], first: float, stop: Callable[[], bool]) -> float:
-    """Return the first value that misses, by steps that double, or the last one tried."""
+    """Return the first value with a missed requirement, found by doubling steps, or the last value tried."""
     step, end = abs(first) / 4.0 or 1.0, first
     for k in range(1, _DOUBLINGS + 1):
         if stop():
@@ -89,7 +92,7 @@ def _far_end(meets: Callable[[float], bool], first: float, stop: Callable[[], bo
 
 
 def _bracket(meets: Callable[[float], bool], first: float, end: float, share: float, stop: Callable[[], bool]) -> None:
-    """Fly the ends of the intervals from `first` to `end` up to the first miss, and halve the last interval."""
+    """Fly the ends of the intervals from `first` to `end` up to the first miss, and bisect the last interval."""
     below = first
     for i in range(1, _INTERVALS + 1):
         if stop():

@@ -1,4 +1,4 @@
-"""Metrics that follow from a flight's end and from its extremes, and the verdicts on a scenario's requirements."""
+"""The metrics that follow from the end and the extremes of a flight, and the verdicts on its requirements."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _OF_ERRORS = {
     "step_error_bending_m": ("max_bending_m", 1e-5),
     "step_error_slosh_deg": ("max_slosh_deg", 5e-4),
 }
-"""The metric of which each estimated error is a share, and the error that is allowed in a quiet flight.
+"""The metric to which each estimated error is relative, and the error that is allowed if nothing is required.
 
-5e-4 deg are about a count of KSR-III's attitude converter (1e-5 rad). A mode that moves the gimbal by 1e-5 m turns a
-sensor by about as much.
+5e-4 deg is about a count of KSR-III's attitude converter (1e-5 rad). A mode that moves the gimbal by 1e-5 m rotates a
+sensor by about the same angle.
 """
 
 
 STEP_SCALES = tuple(of for of, _ in _OF_ERRORS.values())
-"""The metrics to which estimated errors are relative."""
+"""The metrics to which the estimated errors are relative."""
 ATTITUDE_METRICS = (  # metrics of controlled vehicles
     "max_attitude_error_deg",
     "max_roll_error_deg",
@@ -43,16 +43,16 @@ ATTITUDE_METRICS = (  # metrics of controlled vehicles
 
 
 def judged_requirements(scenario: Scenario) -> tuple[RequirementSection, ...]:
-    """Return the requirements by which a flight is judged. Without control, there is no attitude error."""
+    """Return the requirements on a flight; without control, requirements on attitude errors are omitted."""
     controlled = scenario.design is not None and scenario.vehicle.computer is not None
     return tuple(r for r in scenario.requirement if controlled or r.metric not in ATTITUDE_METRICS)
 
 
 def step_failure(run: Run, metrics: Mapping[str, float], requirements: Sequence[RequirementSection]) -> str:
-    """Return a message with its remedy if an estimated error exceeds `run.accuracy`, else an empty text.
+    """Return a message with a remedy if an estimated error exceeds `run.accuracy`, else an empty string.
 
-    The accuracy is relative to a required value. Where nothing is required, it is relative to the value reached, and
-    errors that no sensor resolves are allowed.
+    The accuracy is relative to the required limit of a metric. Without a limit, it is relative to the value of the
+    metric, and errors below the resolution of sensors are allowed.
     """
     if run.accuracy is None:
         return ""
@@ -70,7 +70,7 @@ def step_failure(run: Run, metrics: Mapping[str, float], requirements: Sequence[
 
 
 def end_metrics(final: Mapping[str, float], earth: Earth, site: Site, flight_time_s: float) -> EndMetrics:
-    """Return the end metrics from the channels at the flight's last instant."""
+    """Return the end metrics from `final`, the channels at the last instant of the flight."""
     if earth.figure == FLAT:
         latitude_deg, longitude_deg = math.nan, math.nan
         range_m = math.hypot(final["r_E_x_m"], final["r_E_y_m"])
@@ -93,10 +93,10 @@ def end_metrics(final: Mapping[str, float], earth: Earth, site: Site, flight_tim
 
 
 def orbit_metrics(earth: Earth, r_I_m: Vector, v_I_mps: Vector) -> OrbitMetrics:
-    """Return the orbit metrics from position and velocity in I.
+    """Return the orbit metrics from position and velocity in I; nan without a central gravity field.
 
-    Source: Vallado, Fundamentals of Astrodynamics and Applications, algorithm 9. For an equatorial orbit I's x axis
-    replaces the node, and for a circular orbit the node replaces the perigee.
+    Source: Vallado, Fundamentals of Astrodynamics and Applications, algorithm 9. For an equatorial orbit, the x axis of
+    I replaces the node, and for a circular orbit, the node replaces the perigee.
     """
     if earth.figure == FLAT or earth.gravity not in (INVERSE_SQUARE, J2):
         return OrbitMetrics(*[math.nan] * len(OrbitMetrics._fields))
@@ -111,7 +111,7 @@ def orbit_metrics(earth: Earth, r_I_m: Vector, v_I_mps: Vector) -> OrbitMetrics:
     perigee = scaled(1.0 / eccentricity, towards_perigee) if eccentricity > 1e-12 else node
 
     def angle_deg(start: Vector, end: Vector) -> float:
-        """Return the angle between two vectors in the plane of the orbit, 0 to 360."""
+        """Return the angle from `start` to `end` in the plane of the orbit, 0 to 360 deg."""
         return math.degrees(math.atan2(dot(cross(start, end), up), dot(start, end))) % 360.0
 
     return OrbitMetrics(
@@ -127,7 +127,7 @@ def orbit_metrics(earth: Earth, r_I_m: Vector, v_I_mps: Vector) -> OrbitMetrics:
 
 
 def cutoff_metrics(earth: Earth, end: OrbitTarget | Cutoff, r_I_m: Vector, v_I_mps: Vector) -> CutoffMetrics:
-    """Return the metrics of a cutoff at this position and velocity in I; `end`: its aim."""
+    """Return the metrics of a cutoff with the target `end` from position and velocity in I."""
     spin = float(earth.rate_radps)
     over_ground = (v_I_mps[0] + spin * r_I_m[1], v_I_mps[1] - spin * r_I_m[0], v_I_mps[2])
     speed_mps, inertial_mps, orbit = norm(over_ground), norm(v_I_mps), orbit_metrics(earth, r_I_m, v_I_mps)
@@ -150,9 +150,9 @@ def _error(value: float, wanted: float | None) -> float:
 
 @dataclass(frozen=True)
 class SectionExtreme:
-    """The largest load of a kind (sim/vehicle/loads/kernel.py, KINDS) at a station, and the largest ratio to its limit.
+    """The largest load of a kind (sim/vehicle/loads/kernel.py, KINDS) at a station, and its largest ratio to the limit.
 
-    The load is zero if it never was positive, and the ratio is 0 without a limit. Their times are then nan.
+    The value is 0 if the load never was positive, and the ratio is 0 without a limit. The time is then nan.
     """
 
     stage: int  # from 1
@@ -165,9 +165,9 @@ class SectionExtreme:
 
 
 def section_extremes(parameters: Records, sections: SectionLoads) -> tuple[SectionExtreme, ...]:
-    """Return all extremes of a flight's section loads, stage by stage, station by station.
+    """Return all extremes of a flight's section loads in the order of stages, stations and kinds.
 
-    `parameters`: those of every stage.
+    `parameters` (stages,) is of Parameters.
     """
     out = []
     for stage, p in enumerate(parameters):
@@ -185,7 +185,7 @@ def section_extremes(parameters: Records, sections: SectionLoads) -> tuple[Secti
 def section_metrics(
     extremes: tuple[SectionExtreme, ...], sections: SectionLoads
 ) -> tuple[SectionMetrics, SectionMetrics]:
-    """Return the metrics of these extremes, and their times, s."""
+    """Return the metrics of section loads and their times, s; nan without extremes."""
     if not extremes:
         nothing = SectionMetrics(*[math.nan] * len(SectionMetrics._fields))
         return nothing, nothing
@@ -210,7 +210,7 @@ def _time_s(time_ns: int) -> float:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A requirement and the metric that it bounds; `time_s`: time of this value in flight, nan if unknown."""
+    """The verdict on a requirement: the value of its metric, the time of this value, s (nan if unknown), and `met`."""
 
     requirement: RequirementSection
     value: float
@@ -227,29 +227,29 @@ class Verdict:
 
     @property
     def utilisation(self) -> float:
-        """Return the used share of the limit; nan where there is none."""
+        """Return the utilisation of the limit; nan for a limit of 0 or less."""
         return utilisation(self.value, *self.bound)
 
     @property
     def shown(self) -> tuple[str, str, str]:
-        """Return value, limit and their engineering unit for people."""
+        """Return the texts of value, limit and their engineering unit."""
         return against_limit(self.value, *self.bound, unit_of(self.requirement.metric))
 
     @property
     def limit_text(self) -> str:
-        """Return the limit with sign and engineering unit: "<= 100 kPa deg"."""
+        """Return the limit with its sign and engineering unit, such as "<= 100 kPa deg"."""
         _, bound, unit = self.shown
         return f"{sign_of(self.bound[0])} {bound} {unit}".rstrip()
 
     @property
     def wanted(self) -> str:
-        """Return the bound in words: "<= 5 deg"."""
+        """Return the limit with its sign in the unit of the metric, such as "<= 5 deg"."""
         (kind, bound), unit = self.bound, unit_of(self.requirement.metric)
         return f"{'<=' if kind == 'limit' else '>='} {bound:.6g} {'' if unit == '1' else unit}".rstrip()
 
 
 def judge(requirement: RequirementSection, values: Mapping[str, float], times_s: Mapping[str, float]) -> Verdict:
-    """Return the verdict on a requirement; a value that is not a number meets none.
+    """Return the verdict on a requirement from the metrics and their times; nan meets no requirement.
 
     Raises KeyError for an unknown metric.
     """
@@ -258,15 +258,15 @@ def judge(requirement: RequirementSection, values: Mapping[str, float], times_s:
 
 
 def tightest_first(verdicts: Iterable[Verdict]) -> list[Verdict]:
-    """Return verdicts in order: missed ones, then those with the least margin to their limits."""
+    """Return the missed verdicts followed by the others, each in order of decreasing utilisation."""
     return sorted(verdicts, key=lambda v: by_utilisation(v.met, v.utilisation))
 
 
 def geodesic_m(radius_m: float, flattening: float, start: tuple[float, float], end: tuple[float, float]) -> float:
-    """Return the geodesic distance on an ellipsoid between two places (geodetic latitude, longitude), rad.
+    """Return the geodesic distance, m, on an ellipsoid between two places (geodetic latitude, longitude), rad.
 
     Method: Vincenty's inverse formula (Survey Review 23, 1975), accurate to 0.1 mm on the Earth. It does not converge
-    for nearly antipodal places. For these, and for coordinates that are not numbers, the result is nan.
+    for nearly antipodal places. For these places, and if the end is not finite, the result is nan.
     """
     (latitude_1, longitude_1), (latitude_2, longitude_2) = start, end
     if not math.isfinite(latitude_2 + longitude_2):

@@ -1,4 +1,4 @@
-"""Numbers for people: engineering units, four significant digits, the used share of a limit."""
+"""The text of quantities for readers: engineering units, four significant digits, the utilisation of a limit."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import math
 _LARGER = {"Pa": "kPa", "Pa deg": "kPa deg", "N": "kN", "N m": "kN m"}  # from 1000 on
 _LEAST_KM, _MOST_MM = 1e4, 0.1
 _PROPELLANTS = {"lox": "LOX", "rp1": "RP-1", "jeta1": "Jet A-1", "lh2": "LH2"}
-_EXACT = 9  # digits at most
+_EXACT = 9  # largest number of digits
 
 
 def engineering_unit(unit: str, size: float) -> tuple[str, float]:
-    """Return the unit that a reader thinks in for a value of this size, and the factor to it: "kPa", 0.001."""
+    """Return the engineering unit for a value of this size, and the factor to it, such as "kPa" and 0.001."""
     size = abs(size)
     if unit in _LARGER and 1e3 <= size < math.inf:
         return _LARGER[unit], 1e-3
@@ -23,7 +23,7 @@ def engineering_unit(unit: str, size: float) -> tuple[str, float]:
 
 
 def number_text(value: float, digits: int = 4) -> str:
-    """Return a value with exactly this number of significant digits; below 1e-6 it is 0, and nan is a dash."""
+    """Return a value with `digits` significant digits; "0" for values below 1e-6, and "-" for nan."""
     if not math.isfinite(value):
         return "-" if math.isnan(value) else f"{value}"
     if abs(value) < 1e-6:
@@ -35,26 +35,26 @@ def number_text(value: float, digits: int = 4) -> str:
 
 
 def quantity(value: float, unit: str, digits: int = 4) -> tuple[str, str]:
-    """Return a value and its engineering unit, which is empty for a plain number: ("109.1", "kPa")."""
+    """Return a value and its engineering unit, such as ("109.1", "kPa"); the unit of a plain number is empty."""
     shown, factor = engineering_unit(unit, value)
     return number_text(factor * value, digits), unit_text(shown)
 
 
 def quantity_text(value: float, unit: str, digits: int = 4) -> str:
-    """Return a value with its engineering unit: "109.1 kPa"."""
+    """Return a value with its engineering unit, such as "109.1 kPa"."""
     return " ".join(quantity(value, unit, digits)).rstrip()
 
 
 def unit_text(unit: str) -> str:
-    """Return a unit for people, which is empty for "1"."""
+    """Return the text of a unit, which is empty for "1"."""
     return "" if unit == "1" else unit
 
 
 def against_limit(value: float, kind: str, bound: float, unit: str) -> tuple[str, str, str]:
-    """Return value, limit and the engineering unit of both: ("2.725", "4", "deg").
+    """Return a value, its limit, and the engineering unit of both, such as ("2.725", "4", "deg").
 
-    `kind`: "limit" or "minimum". The value has four digits, and more where those would be on the wrong side of the
-    limit.
+    `kind` is "limit" or "minimum". The value has four digits, or more if the rounded value would otherwise be on the
+    wrong side of the limit.
     """
     shown, factor = engineering_unit(unit, bound or value)
     limit, met = f"{factor * bound:.6g}", meets(value, kind, bound)
@@ -67,24 +67,24 @@ def against_limit(value: float, kind: str, bound: float, unit: str) -> tuple[str
 
 
 def meets(value: float, kind: str, bound: float) -> bool:
-    """Return True for a value that meets a limit or minimum; nan meets none."""
+    """Return True if a value meets a bound of this kind, "limit" or "minimum"; nan meets no bound."""
     return value <= bound if kind == "limit" else value >= bound
 
 
 def propellant_text(tank: str) -> str:
-    """Return a tank's name for people: "LOX" for lox; a name that is not a propellant's as it is."""
+    """Return the propellant that a tank's name denotes, such as "LOX" for lox; other names are unchanged."""
     return _PROPELLANTS.get(tank, tank)
 
 
 def sign_of(kind: str) -> str:
-    """Return the sign between a value and its limit or minimum."""
+    """Return the sign between a value and its bound: "<=" for a limit, ">=" for a minimum."""
     return "<=" if kind == "limit" else ">="
 
 
 def utilisation(value: float, kind: str, bound: float) -> float:
-    """Return the used share of a limit, above 1 where it is missed; nan where 0 or a negative number is the limit.
+    """Return the utilisation of a bound, which is above 1 if the bound is missed.
 
-    The share of a minimum is minimum / value.
+    It is value / limit, or minimum / value, and nan for a value of nan or a bound of 0 or less.
     """
     if not bound > 0.0 or math.isnan(value):
         return math.nan
@@ -94,7 +94,7 @@ def utilisation(value: float, kind: str, bound: float) -> float:
 
 
 def share_text(share: float) -> str:
-    """Return a share in percent: "68 %"; near 100 % with the digits that tell it from 100, and nothing for nan."""
+    """Return a share in percent, such as "68 %", with more digits near 100 %; empty if it is not finite."""
     if not math.isfinite(share):
         return ""
     percent = 100.0 * share
@@ -106,5 +106,5 @@ def share_text(share: float) -> str:
 
 
 def by_utilisation(met: bool, share: float) -> tuple[bool, float]:
-    """Return the key that sorts requirements: missed ones first, then those with the least margin to their limits."""
+    """Return the sort key of a requirement: missed requirements first, then in order of decreasing utilisation."""
     return met, -share if math.isfinite(share) else math.inf if met else -math.inf

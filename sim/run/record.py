@@ -1,9 +1,9 @@
-"""A flight as files: DIR/flight.mcap during the flight, DIR/summary.json at its end.
+"""The recording of a flight in files: DIR/flight.mcap during the flight, DIR/summary.json at its end.
 
     flight = record(FlightRun(load_scenario("nominal")), "runs/nominal")
 
-A separate thread writes the log, one segment behind the flight. Kernel and compression both release the interpreter's
-lock and run in parallel. Memory holds a few segments, never the whole flight.
+A separate thread writes the log, a few segments behind the flight. Kernel and compression both release the
+interpreter's lock and run in parallel. Memory contains a few segments, never the whole flight.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ LEVELS = {
 
 
 class Interrupted(Exception):
-    """The reason in the log of a flight that was stopped before its end."""
+    """The reason recorded in the log of a flight that was stopped before its end."""
 
 
 def record(
@@ -61,14 +61,14 @@ def record(
     timing: Callable[[], dict[str, float]] = dict,
     number: int = 0,
 ) -> Flight:
-    """Fly `run` to its end, and write log and summary into `folder`, which is created.
+    """Fly `run` to its end, write its log and summary into `folder`, and return the flight without log rows.
 
-    `number`: number of the run in a campaign. Files of the same names are replaced. `watch` is called after every
+    The folder is created if it is missing, and files of the same names are replaced. `watch` is called after every
     segment (1 s of simulated time, or about a thousand steps). If `stop` then returns True, the flight ends there with
-    outcome "interrupted". `timing`: further entries for the summary's timing. The returned `Flight` has no rows, which
-    are in the log.
+    the outcome "interrupted". `timing` returns further entries for the timing in the summary. `number` is the number of
+    the run in a campaign.
 
-    Raises LogError if a file cannot be written; folders created for it are then removed again.
+    Raises LogError if a file cannot be written. If the first file cannot be created, new folders are removed.
     """
     run = FlightRun(run) if isinstance(run, LoadedScenario) else run
     folder = Path(folder)
@@ -86,7 +86,7 @@ def record(
 
 
 def run_head(loaded: LoadedScenario, number: int = 0) -> RunHead:
-    """Return the head of a log, which suffices to fly the same flight again."""
+    """Return the head of a log, from which the same flight can be flown again."""
     scenario, site = loaded.scenario, loaded.scenario.site
     metadata = {
         "scenario": scenario.name,
@@ -108,7 +108,7 @@ def run_head(loaded: LoadedScenario, number: int = 0) -> RunHead:
 
 
 def result_record(flight: Flight) -> dict[str, str]:
-    """Return the end record of the log, which suffices to compare a second flight with this one bit by bit."""
+    """Return the result for the end of the log, with which a repeated flight can be compared bit by bit."""
     return {
         OUTCOME_KEY: flight.outcome,
         END_KEY: str(flight.end_ns),
@@ -118,7 +118,7 @@ def result_record(flight: Flight) -> dict[str, str]:
 
 
 def _make(folder: Path) -> list[Path]:
-    """Create a folder, and return the folders that were missing, the innermost first."""
+    """Create a folder, and return the folders that were missing, innermost first. Raises LogError."""
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -137,7 +137,7 @@ def fly_to_end(
     watch: Callable[[FlightRun], None] | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Flight:
-    """Fly to the end without keeping rows; `watch` and `stop` as for `record`."""
+    """Fly a run to its end without keeping rows, and close its log; `watch` and `stop` are those of `record`."""
     try:
         while not run.finished and not stop():
             rows = run.fly_segment()
@@ -157,7 +157,7 @@ def fly_to_end(
 
 
 class _LogThread:
-    """The writer of segments in parallel with the flight. A later `put`, or `close`, raises its errors."""
+    """The thread that writes segments in parallel with the flight. A later `put`, or `close`, raises its errors."""
 
     def __init__(self, writer: LogWriter, run: FlightRun) -> None:
         scenario, earth = run.loaded.scenario, run.packed.parameters[0].environment.earth
@@ -177,7 +177,7 @@ class _LogThread:
         self._waiting.append(self._pool.submit(self._write, copied(rows), [self._message(event) for event in new]))
 
     def close(self, error: BaseException | None, flight: Flight | None) -> None:
-        """Write the waiting segments, then the end of the log."""
+        """Write the waiting segments and the end of the log."""
         try:
             while self._waiting:
                 self._waiting.popleft().result()
@@ -203,9 +203,10 @@ def versions() -> dict[str, str]:
 
 
 def write_summary(path: Path, flight: Flight, log: str | None, timing: dict[str, float]) -> None:
-    """Write all of a flight except its channels over time, whole or not at all. A number that is not finite is null.
+    """Write the summary of a flight, which contains everything except channels over time, completely or not at all.
 
-    Raises LogError where it cannot be written.
+    Numbers that are not finite become null. `log` is the name of the log, or None. Raises LogError if the file cannot
+    be written.
     """
     scenario = flight.scenario.scenario
     summary = {
@@ -259,7 +260,7 @@ def write_summary(path: Path, flight: Flight, log: str | None, timing: dict[str,
 
 
 def _integration(error: MethodError | None) -> dict[str, object] | None:
-    """Return the method's effect on the oscillation that it changes the most."""
+    """Return the integration error of an oscillation for the summary."""
     if error is None:
         return None
     return error.oscillation._asdict() | {

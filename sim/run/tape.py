@@ -1,4 +1,4 @@
-"""The tape of flight code: its inputs and outputs at every sample of a flight."""
+"""The recording of flight code: its inputs and outputs at every sample of a flight."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from maxq.sim.scenario.loader import LoadedScenario
 
 
 def record(loaded: LoadedScenario) -> Tape:
-    """Fly a scenario with external flight code, up to the last burnout or the loss of control, and return the tape.
+    """Fly a scenario with external flight code until the last burnout or loss of control, and return the tape.
 
-    The flight stops after each sample, where its memory shows inputs and outputs. Raises ScenarioError if the code
-    cannot be started.
+    The flight is stopped after each sample to copy the inputs and outputs from its memory. Raises ScenarioError if the
+    code cannot be started.
     """
     run = FlightRun(loaded, log=False)
     computer = run.loaded.vehicle.computer

@@ -1,4 +1,4 @@
-"""Checks that tables over time cover the powered flight."""
+"""The checks that tables over time cover the powered flight."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.engine.burn import burn_rate, nominal_burnout_s, stage_spans, thrust_end_s
 
 _SAME_S = 1e-9
-"""Times closer than this are the same instant."""
+"""The difference below which two times are the same instant, s."""
 
 
 def check_stages(stages: Sequence[Stage], flight_end_s: float, thrust_must_end: bool) -> float:
-    """Reject tables that end before the thrust of their stage, and return the end of the powered flight, s.
+    """Reject tables that end before the thrust of their stage does, and return the end of the powered flight, s.
 
-    Both times are on the vehicle clock; the end is 0 without thrust. `thrust_must_end`: reject thrust tables that do
-    not end at zero if the flight continues.
+    `flight_end_s` and the result are on the vehicle clock; the result is 0 without thrust. With `thrust_must_end`, a
+    thrust table that does not end at zero is rejected if the flight continues after it.
     """
     powered_end_s = 0.0
     for n, (stage, (start_s, end_s)) in enumerate(zip(stages, stage_spans(stages), strict=True)):
@@ -37,9 +37,9 @@ def check_stages(stages: Sequence[Stage], flight_end_s: float, thrust_must_end: 
 
 
 def _check_body_tables(body: Stage | Booster, ends_s: float, key: Path) -> float:
-    """Reject tables of a body that end before its thrust does, and return this end.
+    """Reject tables of a body that end before its thrust does, and return the end of thrust on the tables' clock, s.
 
-    The body leaves or is dropped at `ends_s` on its own clock.
+    `ends_s` is the end of the body's flight with the stage, on the body's clock.
     """
     end = min(thrust_end_s(body), ends_s * burn_rate(body))
     tables: list[tuple[Path, CsvTable | None]] = [(("mass", "table"), body.mass.table)]
@@ -52,7 +52,10 @@ def _check_body_tables(body: Stage | Booster, ends_s: float, key: Path) -> float
 
 
 def _check_stage_tables(stage: Stage, ends_s: float, key: Path) -> None:
-    """Reject tables of a stage that end before its thrust does, and an ignition after the end of thrust."""
+    """Reject tables of a stage that end before its thrust does, and an ignition after the end of thrust.
+
+    `ends_s` is the end of the stage on its own clock.
+    """
     end = _check_body_tables(stage, ends_s, key)
     tables: list[tuple[Path, CsvTable | None]] = [(("mass", "rate_damping"), stage.mass.rate_damping)]
     if stage.aero is not None:
@@ -77,9 +80,9 @@ def _ends_too_early(table: CsvTable, problem: str, end_s: float, key: Path) -> P
 
 
 def _check_thrust_ends(stage: Stage, ends_s: float, key: Path) -> None:
-    """Reject a thrust table that does not end at zero if the stage flies on to `ends_s` on its clock.
+    """Reject a thrust table that does not end at zero if the stage flies on until `ends_s` on its clock.
 
-    Thrust may end with the propellant.
+    A table may end with positive thrust at the instant at which the propellant is spent.
     """
     column, spent_s = "thrust_vacuum_N", stage.mass.spent_s(stage.ignition_s)
     burns_out = abs(thrust_end_s(stage) - spent_s) < _SAME_S
@@ -94,19 +97,25 @@ def _check_thrust_ends(stage: Stage, ends_s: float, key: Path) -> None:
 
 
 def check_programme(table: CsvTable, start: float, end: float) -> None:
-    """Reject a guidance programme that does not cover the powered flight from `start` to `end` (s)."""
+    """Reject a guidance programme that does not cover the powered flight from `start` to `end`, s.
+
+    A programme that ends early is allowed if all rates of its last row are zero.
+    """
     key: Path = ("guidance", "programme")
     if len(table) == 1:
         return
     if table["time_s"][0] > start:
         raise table.refusal("the programme begins too late", f"a first time_s <= {start:g}", "time_s", 0, at=key)
     commands_nothing = all(column[-1] == 0.0 for name, column in table.columns.items() if name != "time_s")
-    if table["time_s"][-1] < end and not commands_nothing:  # its last row holds, and a rate that continues is an error
+    if table["time_s"][-1] < end and not commands_nothing:  # the last row holds, and a rate that persists is an error
         raise _ends_too_early(table, "the programme ends before the thrust does", end, key)
 
 
 def check_gains(table: CsvTable, key: Path, end: float) -> None:
-    """Reject a gain table that is wholly outside the powered flight; gains are held beyond its ends."""
+    """Reject a gain table that is entirely outside the powered flight, which ends at `end`, s.
+
+    Beyond the ends of the table, the gains are held.
+    """
     if len(table) == 1:
         return
     for wrong, problem, allowed in (

@@ -1,13 +1,14 @@
-"""Flight code that a vehicle file names: a shared library, a Python class, or a computer behind a socket.
+"""The external flight code named in a vehicle file: a shared library, a Python class, or a computer behind a socket.
 
-Reading a scenario does not run the code, but finds and hashes its files. The log contains the SHA-256 of the code
-flown. When the log is flown again, other content under the same names is rejected (sim/run/flight_software.py).
+Reading a scenario finds and hashes the files of the code, but does not run it. The log contains the SHA-256 of the
+code flown. When the log is flown again, different content under the same names is rejected
+(sim/run/flight_software.py).
 
 The hash covers every file of the code (`code_files`). For a Python file, these are all modules that it can import from
-its folder, or all files of the folder if it is a package. For a library, they are its file and the sources that the
-vehicle file names. `data` names a file or folder that the code reads, which has a hash of its own. Guarded Python code
+its folder, or all files of the folder if the folder is a package. For a library, it is the file itself. `sources` names
+the library's sources, and `data` a file or folder that the code reads; each has a separate hash. Guarded Python code
 cannot open other files for reading (sim/run/hashed_reads.py). The hashes do not cover libraries that a library loads,
-modules installed in the environment, and files that a library or another process opens.
+modules installed in the environment, or files that a library or another process opens.
 """
 
 from __future__ import annotations
@@ -43,9 +44,11 @@ def flight_code_key(name: str) -> str:
 
 
 def code_files(path: Path) -> list[Path]:
-    """Return all files of flight code: the folder's if `path` is one, and those that a Python file can import.
+    """Return all files of the flight code at `path`.
 
-    Raises ValueError if there are more than `MOST_FILES`.
+    For a folder, these are all its files. For a Python file, they are the modules that it can import from its folder,
+    or all files of the folder if the folder is a package. For any other file, the result is the file itself. Hidden
+    files are omitted. Raises PydanticCustomError if there are more than `MOST_FILES`.
     """
     if path.suffix != ".py" and not path.is_dir():
         return [path]
@@ -64,7 +67,7 @@ def code_files(path: Path) -> list[Path]:
 def code_hash(path: Path, read: Callable[[Path], bytes] = Path.read_bytes) -> tuple[str, tuple[str, ...]]:
     """Return the SHA-256 of flight code, and the names of its files if there are several.
 
-    The hash of a single file is that of its content. That of several covers the name and the hash of each.
+    The hash of a single file is the hash of its content. The hash of several files covers the name and hash of each.
     """
     files, folder = code_files(path), path if path.is_dir() else path.parent
     hashes = {file.relative_to(folder).as_posix(): hashlib.sha256(read(file)).hexdigest() for file in files}
@@ -75,12 +78,12 @@ def code_hash(path: Path, read: Callable[[Path], bytes] = Path.read_bytes) -> tu
 
 
 class CodeFile(Section):
-    """A file of flight code; in a vehicle file only its name, for Python followed by `:Class`."""
+    """A file of flight code. A vehicle file gives only its name, followed by `:Class` for Python."""
 
     file: str = Field(description="absolute path")
-    sha256: str = Field(description="SHA-256 of its content, or of all files (code_hash)")
-    member: str = optional("class in a Python file", "")
-    files: tuple[str, ...] = optional("names of all files of the code, if there are several", ())
+    sha256: str = Field(description="SHA-256 of the content, or of all files (code_hash)")
+    member: str = optional("class in the Python file", "")
+    files: tuple[str, ...] = optional("names of all files, if there are several", ())
 
     @model_validator(mode="before")
     @classmethod
@@ -113,12 +116,12 @@ class CodeFile(Section):
 
     @property
     def title(self) -> str:
-        """Return a title for messages."""
+        """Return the displayed name of the file, with its class, for messages."""
         return shown(Path(self.file)) + (f":{self.member}" if self.member else "")
 
     @property
     def hashed(self) -> str:
-        """Return the title with what the hash covers."""
+        """Return the title, followed by the number and names of the hashed files if there are several."""
         count = f"{len(self.files)} file{'s' * (len(self.files) != 1)}"
         return f"{self.title} ({count}: {', '.join(self.files)})" if self.files else self.title
 

@@ -1,9 +1,9 @@
-"""Loading of a scenario: find its files, merge them, apply overrides, validate.
+"""The loader of scenarios, which finds and merges their files, applies overrides and validates the result.
 
     loaded = load_scenario("scenarios/nominal.toml", ["run.step_s=0.0005"])
     loaded.scenario.vehicle.stage[0].mass.table["mass_kg"]
 
-Every error is a ScenarioError of one line. This module uses no kernels, so loading compiles nothing.
+Every error is a one-line ScenarioError. This module uses no kernels, so that loading compiles nothing.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ Model = TypeVar("Model", bound=Section)
 
 @dataclass(frozen=True, repr=False)
 class LoadedScenario:
-    """A scenario that can be flown. Two are equal if they hold the same values and tables, bit by bit."""
+    """A scenario that can be flown. Two scenarios are equal if their values and tables are the same, bit by bit."""
 
     scenario: Scenario
     label: str = field(compare=False)
@@ -97,13 +97,13 @@ class LoadedScenario:
 
     @cached_property
     def as_flown(self) -> str:
-        """Return the scenario as one self-contained TOML text, from which `load_scenario_text` reads an equal one."""
+        """Return the scenario as a self-contained TOML text, which `load_scenario_text` converts back."""
         return to_toml(self.scenario)
 
     def telling(self, overrides: Iterable[str]) -> LoadedScenario:
-        """Return the scenario with the user's overrides added to its description.
+        """Return the scenario with the user's overrides added to its description, which they make incorrect.
 
-        The description would be incorrect without them.
+        The scenario is unchanged if its description is empty or is itself overridden.
         """
         about, told = self.scenario.description.rstrip(), [text for text in overrides if not text.startswith("name=")]
         if not about or not told or any(text.startswith("description=") for text in told):
@@ -114,7 +114,7 @@ class LoadedScenario:
 
 
 def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> LoadedScenario:
-    """Return the scenario in the file `path`, or the built-in one of that name, with `key=value` overrides applied.
+    """Return the scenario in the file `path`, or the built-in scenario of that name, with `key=value` overrides.
 
     Raises ScenarioError.
     """
@@ -122,7 +122,7 @@ def load_scenario(path: str | Path, overrides: Iterable[str] = ()) -> LoadedScen
 
 
 def is_campaign(path: str | Path) -> bool:
-    """Return True if this file, or the built-in one of that name, has a [campaign]; False if it cannot be read."""
+    """Return True if the file, or the built-in file of that name, has a [campaign]; False if it cannot be read."""
     try:
         return "campaign" in Reading().document(*locate(str(path), "scenario"), "scenario")
     except ScenarioError:
@@ -132,9 +132,10 @@ def is_campaign(path: str | Path) -> bool:
 def load_with_sections(
     path: str | Path, sections: tuple[str, ...], overrides: Iterable[str] = ()
 ) -> tuple[LoadedScenario, TomlTable, Reading]:
-    """Load as `load_scenario` does, for a file with further top-level keys: those of `sections` that it has, unchecked.
+    """Load a scenario from a file that may also have the top-level keys `sections`.
 
-    Also returns the reader of the files, because the sections may name files. Raises ScenarioError.
+    Returns the scenario, the values of these keys without validation, and the reader of the files, because the sections
+    may name files. Raises ScenarioError.
     """
     parsed = [parse_override(text) for text in overrides]
     file, label = locate(str(path), "scenario")
@@ -152,9 +153,9 @@ def load_with_sections(
 
 
 def load_scenario_text(text: str, overrides: Iterable[str] = (), label: str = AS_FLOWN) -> LoadedScenario:
-    """Return the scenario in a self-contained TOML `text`, e.g. one from a log. Raises ScenarioError.
+    """Return the scenario in a self-contained TOML `text`, such as that of a log. Raises ScenarioError.
 
-    `label` is its name in errors. Files that the text names are not read; overrides may name files.
+    `label` is the name of the text in errors. Files that the text names are not read, but overrides may name files.
     """
     parsed = [parse_override(item) for item in overrides]
     tree = parse(text, Source(label))
@@ -171,10 +172,10 @@ def load_scenario_text(text: str, overrides: Iterable[str] = (), label: str = AS
 def load_file(
     model: type[Model], role: str, name: str | Path, overrides: Iterable[str]
 ) -> tuple[Model, TomlTable, Path, str, tuple[Path, ...]]:
-    """Return a case or suite (`role`) in a file, or the built-in one of that name, with `key=value` overrides.
+    """Return a design, case or suite (`role`) from a file, or the built-in one of that name, with overrides.
 
-    Also returns its document, its file, the file's name in messages, and all files read, from that one down to the one
-    that it extends. Raises ScenarioError.
+    `overrides` are `key=value` texts. Also returns the document, its file, the file's name in messages, and all files
+    read: first this file, then the files that it extends. Raises ScenarioError.
     """
     parsed = [parse_override(text) for text in overrides]
     file, label = locate(str(name), role)
@@ -188,7 +189,7 @@ def load_file(
 
 
 def read_design(name: str | Path) -> Design:
-    """Read the design in a file, or the built-in one, without a vehicle to fly it. Raises ScenarioError."""
+    """Return the design in a file, or the built-in design of that name, without a vehicle. Raises ScenarioError."""
     return load_file(Design, "design", name, ())[0]
 
 
@@ -206,7 +207,7 @@ def _scenario(reading: Reading, tree: TomlTable, label: str, name: str) -> Loade
 
 
 def _refuse_foreign_design(tree: TomlTable) -> None:
-    """Reject a design for another vehicle than the one that flies, unless the command line sets the vehicle."""
+    """Reject a design that was made for another vehicle, unless the command line sets the vehicle."""
     design, vehicle = tree.get("design"), tree.get("vehicle")
     if not isinstance(design, TomlTable) or not isinstance(vehicle, TomlTable):
         return
@@ -220,7 +221,7 @@ def _refuse_foreign_design(tree: TomlTable) -> None:
 
 
 def _assemble(reading: Reading, tree: TomlTable, overrides: list[Override], folders: tuple[Path, ...]) -> None:
-    """Apply overrides and insert vehicle and design; an override may name these, or change a key inside them."""
+    """Apply overrides, and insert vehicle and design. An override may replace either of them or change a key in it."""
     command_line = Source(COMMAND_LINE, (Path.cwd(), *folders, scenarios_folder()))
     inside = [(path, value) for path, value in overrides if path[0] in PARTS and len(path) > 1]
     apply([override for override in overrides if override not in inside], tree, command_line)
@@ -255,7 +256,7 @@ def _bring_in(reading: Reading, tree: TomlTable, part: str) -> None:
 
 
 def _refuse_huge_numbers(tree: TomlTable) -> None:
-    """Reject numbers with which the checks of the schema could overflow."""
+    """Reject numbers so large that the checks of the schema could overflow."""
     for path, value in walk(tree):
         if isinstance(value, int | float) and LARGEST_NUMBER < abs(value) < math.inf:
             allowed = f"numbers up to {LARGEST_NUMBER:g}"
@@ -263,10 +264,11 @@ def _refuse_huge_numbers(tree: TomlTable) -> None:
 
 
 def copy_scenario(name: str, folder: str | Path) -> Path:
-    """Copy the built-in scenario or campaign `name` with all its files into `folder`, and return the copied file.
+    """Copy the built-in scenario or campaign `name` with all its files into `folder`, and return its copy.
 
-    The copies keep their relative paths, so that the files that they name are found. Raises ScenarioError if there is
-    no such scenario, or if a file would be overwritten (then nothing is copied).
+    The copies keep their relative paths, so that references between them remain valid. Raises ScenarioError if there is
+    no such scenario, or if a file cannot be written. If a file would be overwritten, it is raised before any file is
+    copied.
     """
     known = builtin_files("scenario") | builtin_files("campaign")
     if name not in known:
@@ -292,17 +294,17 @@ def copy_scenario(name: str, folder: str | Path) -> Path:
 
 
 def to_toml(section: Section) -> str:
-    """Return the section as TOML with every key that has a value, defaults included; it reads back to the same bits.
+    """Return the section as TOML with every key that has a value, including defaults; reading it gives the same bits.
 
     Floats are written by `repr`, the shortest decimal that gives the same double. A column of a table is one line.
-    tomli-w writes each number of a list on its own line: 56,000 lines for the nominal scenario instead of 330, in three
-    times the time.
+    tomli-w would write each number of a list on its own line: 56,000 lines for the nominal scenario instead of 330, in
+    three times the time.
     """
     return "\n".join(_toml_lines(told(section), ())) + "\n"
 
 
 def told(value: Any) -> Any:
-    """Return a section in the form of TOML and JSON; keys without a value are omitted."""
+    """Return a section as nested dictionaries and lists for TOML and JSON; keys without a value are omitted."""
     if isinstance(value, Section):
         fields = {(f.alias or n): getattr(value, n) for n, f in type(value).model_fields.items()}
         return {key: told(item) for key, item in fields.items() if item is not None}
@@ -314,7 +316,7 @@ def told(value: Any) -> Any:
 
 
 def _toml_lines(table: dict[str, Any], path: tuple[str, ...]) -> Iterator[str]:
-    """Yield values first, then tables and lists of tables, because TOML cannot return to the values after a header."""
+    """Yield the lines of a table at `path`, with values first, because values after a header belong to its subtable."""
     below: list[tuple[str, str, dict[str, Any]]] = []
     for key, value in table.items():
         name = key if key.isascii() and key.replace("_", "").replace("-", "").isalnum() else _toml_value(key)
@@ -332,6 +334,7 @@ def _toml_lines(table: dict[str, Any], path: tuple[str, ...]) -> Iterator[str]:
 def _toml_value(value: Any) -> str:
     """Return a value as TOML.
 
-    JSON texts, finite numbers, booleans and lists are valid TOML, except DEL, which TOML requires escaped.
+    JSON strings, finite numbers, booleans and lists are valid TOML, except for the character DEL, which TOML requires
+    to be escaped.
     """
     return json.dumps(value, ensure_ascii=False, allow_nan=False).replace("\x7f", "\\u007F")

@@ -1,4 +1,4 @@
-"""One-line messages from the reports of pydantic, and descriptions of the allowed values of a field."""
+"""One-line messages from pydantic's error reports, and descriptions of the allowed values of a field."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _PROBLEMS = {
 }
 _MANY_KEYS = 24
 _NOW, OBSOLETE = "is now ", "is obsolete"
-"""The problems of keys of an earlier version: with a present name, and without one."""
+"""The problem of a key of an earlier version that has a new name, and of a key that has none."""
 _IN_FILES_ONLY = {
     "extends": 'a file of your own that begins with, e.g., extends = "nominal"',
     "unset": "--set KEY= to remove a key, or a file of your own with extends and unset",
@@ -38,9 +38,9 @@ _IN_FILES_ONLY = {
 
 
 def explain(error: ValidationError, tree: TomlTable, model: type[Section]) -> ScenarioError:
-    """Return the first error, and the number of further errors.
+    """Return the most important error in `error` as a ScenarioError that states the number of further errors.
 
-    Unknown keys come first, because they explain missing ones.
+    Unknown keys come first, because they explain missing keys. `tree` is the document that `model` rejects.
     """
     order = {"extra_forbidden": 0, "missing": 2}
     found = [{**detail, "loc": _without_forms(detail["loc"])} for detail in error.errors(include_url=False)]
@@ -81,7 +81,7 @@ def _without_forms(path: Path) -> Path:
 
 
 def _causes(found: list[Any]) -> list[Any]:
-    """Return the errors without complaints about a list that is too short because one of its elements is wrong."""
+    """Return the errors without those of lists that are too short because one of their elements is invalid."""
     paths = [detail["loc"] for detail in found]
     return [
         detail
@@ -103,7 +103,7 @@ def _refused(path: Path, context: dict[str, Any], tree: TomlTable, more: int) ->
 
 
 def _unknown_key(path: Path, model: type[Section]) -> tuple[str, str]:
-    """Return problem and allowed keys for the key at the end of `path`."""
+    """Return the problem and the allowed keys for the unknown key at the end of `path`."""
     annotation, _ = field_at(model, path[:-1], table=True)
     section = section_of(unwrap(annotation)[0]) or model
     known = keys_of(section)
@@ -134,7 +134,7 @@ def _elsewhere(key: str, model: type[Section]) -> str:
 
 
 def value_at(tree: Any, path: Path) -> Any:
-    """Return the value at `path`, or NOTHING."""
+    """Return the value at `path`, or NOTHING if there is none."""
     for part in path:
         try:
             tree = tree[part]
@@ -143,7 +143,7 @@ def value_at(tree: Any, path: Path) -> Any:
     return tree
 
 
-# allowed values of a field in words, for errors and docs/scenario.md
+# the allowed values of a field in words, for errors and docs/reference/
 
 _BOUNDS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
 _LONG_INTEGER = 2**62
@@ -151,9 +151,9 @@ _PLURALS = {"a number": "numbers", "a whole number": "whole numbers", "a text": 
 
 
 def unwrap(annotation: Any, table: bool = False) -> tuple[Any, list[Any]]:
-    """Return the bare type below Optional and Annotated, and all metadata on the way.
+    """Return the bare type inside Optional and Annotated, and the metadata of all levels.
 
-    If there are several forms, the first is returned, or with `table` the one with keys.
+    For a union, the result is the first type, or with `table` the first section.
     """
     metadata: list[Any] = []
     while True:
@@ -170,7 +170,7 @@ def unwrap(annotation: Any, table: bool = False) -> tuple[Any, list[Any]]:
 
 
 def section_of(annotation: Any) -> type[Section] | None:
-    """Return the section that a field of this type holds, directly or in a list."""
+    """Return the section that a field of this type contains, directly or in a list; None if it contains none."""
     bare, _ = unwrap(annotation)
     if get_origin(bare) is tuple:
         bare, _ = unwrap(get_args(bare)[0])
@@ -178,16 +178,16 @@ def section_of(annotation: Any) -> type[Section] | None:
 
 
 def field_at(model: type[Section], path: Path, *, table: bool = False) -> tuple[Any, list[Any]]:
-    """Return type and metadata of the place that `path` names, with `table` as a table if it has several forms.
+    """Return the type and metadata of the field at `path`; with `table`, the table among several forms of the field.
 
-    The result is (None, []) if the schema has no such place.
+    The result is (None, []) if the schema has no such field.
     """
     annotation: Any = model
     metadata: list[Any] = []
     for n, part in enumerate(path, 1):
         if isinstance(annotation, type) and issubclass(annotation, Section):
             if isinstance(part, int):
-                continue  # of a key that holds a table or a list of such
+                continue  # the index of a key that holds one table or a list of tables
             field = next((f for name, f in annotation.model_fields.items() if (f.alias or name) == part), None)
             if field is None:
                 return None, []
@@ -202,12 +202,12 @@ def field_at(model: type[Section], path: Path, *, table: bool = False) -> tuple[
 
 
 def keys_of(section: type[Section]) -> list[str]:
-    """Return the keys of a section as in TOML."""
+    """Return the keys of a section as they appear in TOML."""
     return [field.alias or name for name, field in section.model_fields.items()]
 
 
 def describe(annotation: Any, metadata: list[Any]) -> str:
-    """Return the allowed values in a few words, or an empty string for an unknown type."""
+    """Return the allowed values of a field in a few words, or an empty string for an unknown type."""
     annotation, more = unwrap(annotation)
     metadata = [*metadata, *more]
     for mark in metadata:

@@ -1,6 +1,6 @@
-"""Possible but implausible values of a scenario, which are flown with a warning.
+"""Warnings about values of a scenario that are possible but implausible.
 
-The bounds are those of existing launch vehicles, with a margin. Impossible values are rejected (`sim/input/ranges.py`).
+The bounds are those of existing launch vehicles with a margin. Impossible values are rejected (sim/input/ranges.py).
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from maxq.sim.vehicle.slosh.section import Tank
 
 Array = NDArray[np.float64]
 Implausible = tuple[str, float, str]
-"""A key, its value, and the plausible values."""
+"""A key, its value, and a description of the plausible values."""
 
 _LONG_RUN = 1e9  # steps or log rows: hours, and hundreds of gigabytes
-_WEATHER_M, _WEATHER_MPS = 30e3, 150.0  # the strongest jet streams have 110 m/s
+_WEATHER_M, _WEATHER_MPS = 30e3, 150.0  # the strongest jet streams reach 110 m/s
 _G = 9.8
-_LEAST_GYRATION = 0.03  # of the length: a rod has 0.29, a sphere 0.32 of its diameter
-_MOST_MARGIN = 0.6  # static margin, of the length
-_INCIDENCE_deg, _HELD_Pa = 5.0, 8e3  # launchers pass 15 to 80 kPa
+_LEAST_GYRATION = 0.03  # gyration radius / length; 0.29 for a rod, 0.32 for a sphere
+_MOST_MARGIN = 0.6  # static margin / length
+_INCIDENCE_deg, _HELD_Pa = 5.0, 8e3  # launchers reach 15 to 80 kPa
 _DAMPED = 0.01  # damping ratio of a liquid with baffles
 _ROOT = 1.8412  # first zero of J1'
 
 
 def warnings(scenario: Scenario) -> tuple[str, ...]:
-    """Return a line for each implausible value: key, value and usual values, or the defect of a mode table."""
+    """Return a line for each implausible value (key, value, usual values) and for each defect of a mode table."""
     found: list[Implausible] = [*_run(scenario), *_surroundings(scenario)]
     reference = scenario.vehicle.reference
     for n, stage in enumerate(scenario.vehicle.stage):
@@ -67,7 +67,7 @@ def _of_modes(stage: Stage, table: ModeTable | SpatialModeTable) -> list[str]:
 
 
 def _reference(reference: Reference, tail_m: float) -> Iterator[Implausible]:
-    """Yield implausible lengths; `tail_m`: rearmost station that the files name, 0 if there is none."""
+    """Yield implausible reference quantities. `tail_m` is the rearmost station in the files, 0 if there is none."""
     length, diameter, area = reference.length_m, reference.diameter_m, reference.area_m2
     if tail_m > 0.0 and not 0.9 * tail_m <= length <= 2.0 * tail_m:
         yield "length_m", length, f"the rearmost station, {tail_m:g} m, or a little more"
@@ -83,7 +83,7 @@ def _reference(reference: Reference, tail_m: float) -> Iterator[Implausible]:
 
 
 def _tails(stage: Stage) -> Iterator[float]:
-    """Yield the stations of parts at the tail."""
+    """Yield the stations of engines, and the rearmost stations of mode shapes, m."""
     for engine in stage.engines:
         yield max(engine.exit_station_m, engine.gimbal_station_m)
     if stage.bending is not None:
@@ -133,7 +133,10 @@ def _stage(stage: Stage, reference: Reference) -> Iterator[Implausible]:
 
 
 def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Implausible]:
-    """Check gimbals against CG, centre of pressure against body and CG, and the angle of attack that gimbals hold."""
+    """Yield a gimbal ahead of the CG, an implausible centre of pressure, and gimbal limits with too little authority.
+
+    The authority is that of the first stage against the aerodynamic moment at an angle of attack of _INCIDENCE_deg.
+    """
     mass, engines = stage.mass.table, [e for e in stage.engines if e.gimbal != "fixed"]
     if mass is None or stage.aero is None:
         return
@@ -153,7 +156,7 @@ def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Imp
         return
     slope, centre_m = lift
     length, diameter = reference.length_m, reference.diameter_m
-    outside = np.abs(centre_m - 0.5 * length) > 0.75 * length  # with a wide nose it may be ahead of it
+    outside = np.abs(centre_m - 0.5 * length) > 0.75 * length  # a wide nose may move it ahead of the body
     if outside.any():
         yield (
             "aero.surface",
@@ -179,9 +182,10 @@ def _control(stage: Stage, reference: Reference, *, first: bool) -> Iterator[Imp
 
 
 def _lift(stage: Stage) -> tuple[Array, Array] | None:
-    """Return the slope of the normal force, 1/rad, and its station, m aft of the nose, over Mach number.
+    """Return the slope of the normal force, 1/rad, and its station, m aft of the nose, both over Mach number.
 
-    The result is None if other tables hold it.
+    Mach numbers without a positive slope are omitted. The result is None if the stage has coefficient tables or no
+    such data.
     """
     aero = stage.aero
     if aero is None or aero.coefficients:
@@ -203,10 +207,12 @@ def _lift(stage: Stage) -> tuple[Array, Array] | None:
 
 
 def _liquids(stage: Stage) -> Iterator[Implausible]:
-    """Yield lightly damped liquids between CG and centre of percussion, where an attitude loop excites them.
+    """Yield the damping ratios of lightly damped liquids that an attitude loop destabilises.
+
+    They are between the CG and the centre of percussion.
 
     Source: Greensite, Analysis and Design of Space Vehicle Flight Control Systems, vol. 1, section 3. The centre of
-    percussion of a body turned at its gimbal is I / (m l) ahead of the CG.
+    percussion of a body with a lateral force at its gimbal, l aft of the CG, is I / (m l) ahead of the CG.
     """
     mass, gimbals = stage.mass.table, [e.gimbal_station_m for e in stage.engines if e.gimbal != "fixed"]
     if mass is None or not gimbals or (mass["x_cg_m"] >= min(gimbals)).any():
@@ -225,9 +231,9 @@ def _liquids(stage: Stage) -> Iterator[Implausible]:
 
 
 def _bob(tank: Tank) -> tuple[Array, Array, Array]:
-    """Return times, station and mass of the first slosh mode.
+    """Return the times (n,), s, and the stations (n,), m, and masses (n,), kg, of the first slosh mode.
 
-    A shape counts as a cylinder of its depth (NASA SP-106).
+    A tank with a shape is treated as a cylinder with the same radius and liquid depth (NASA SP-106).
     """
     table = tank.table
     if "slosh_mass_kg" in table:
@@ -240,7 +246,7 @@ def _bob(tank: Tank) -> tuple[Array, Array, Array]:
 
 
 def _sampling(scenario: Scenario) -> Iterator[Implausible]:
-    """Check the first bending mode against the computer's sample rate."""
+    """Yield a sample period with which the first bending mode of a stage is above the Nyquist frequency."""
     computer = scenario.vehicle.computer
     if computer is None:
         return
@@ -255,7 +261,7 @@ def _sampling(scenario: Scenario) -> Iterator[Implausible]:
 
 
 def _lift_off(stage: Stage) -> Iterator[Implausible]:
-    """Yield a vehicle that is held down until thrust exceeds weight, and never released."""
+    """Yield the largest thrust if it is below the weight, for a vehicle that is released when thrust exceeds weight."""
     thrust = sum(engine.thrust_factor * float(engine.table["thrust_vacuum_N"].max()) for engine in stage.engines)
     kg = stage.mass.mass_kg if stage.mass.table is None else float(stage.mass.table["mass_kg"].min())
     if stage.engines and thrust < _G * (kg or 0.0):

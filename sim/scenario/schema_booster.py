@@ -28,47 +28,45 @@ BOOSTER_AERO_COLUMNS = Columns("mach", sets=(("CN_alpha_pr", "station_m"), ("CA"
 
 
 class BoosterAero(Section):
-    """The aerodynamic increments of a booster, with the reference area of the vehicle."""
+    """The aerodynamic increments of a booster, based on the reference area of the vehicle."""
 
     table: Annotated[CsvTable, BOOSTER_AERO_COLUMNS] = Field(
-        description="axial force CA on the booster's axis, and normal force CN_alpha_pr at station_m on this axis; "
-        "both are added to those of the stage"
+        description="axial force CA on the booster's axis and normal force CN_alpha_pr at station_m on this axis, "
+        "added to those of the stage"
     )
 
 
 class Booster(Section):
-    """A body attached to the core. Its tables are over the time since its own ignition."""
+    """A body attached to the core. The time of its tables begins at its ignition."""
 
-    name: ChannelPart = Field(
-        description="name in logs; a booster that stays in the next stage has the same name there"
-    )
-    position_m: Pair = Field(description="of its axis from the body axis, y and z, m")
+    name: ChannelPart = Field(description="name in logs; a booster that remains in the next stage keeps its name")
+    position_m: Pair = Field(description="y and z of its axis from the body axis, m")
     attachments_m: tuple[float, ...] = Field(
         min_length=1,
         max_length=2,
-        description="stations of the core that carry it: one section that clamps it, or two that hold its ends; the "
-        "first carries its axial load",
+        description="stations of the core that carry it: one that clamps it, or two that hold its ends; the first "
+        "carries its axial load",
     )
-    ignition_s: Seconds = optional("on the clock of the stage, s", 0.0)
+    ignition_s: Seconds = optional("ignition on the stage clock, s", 0.0)
     mass: Mass = Field(
-        description="mass properties of the booster alone; x_cg_m aft of the nose of the vehicle, y and z from the "
+        description="mass properties of the booster alone; x_cg_m aft of the vehicle's nose, y and z from the "
         "booster's axis"
     )
     engine: Engines | None = optional(
         "one table, or a list [[...]]; offset_m is from the booster's axis; gimballed engines without a group form "
-        "one with the booster's name"
+        "a group with the booster's name"
     )
     tank: tuple[Tank, ...] = optional("tanks with sloshing liquid, on the booster's axis", (), max_length=MAX_PENDULUMS)
     aero: BoosterAero | None = optional("absent: no increments")
 
     @property
     def own_engines(self) -> tuple[EngineSection, ...]:
-        """Return the engines that draw on the propellant of this booster."""
+        """Return the engines that burn the propellant of this booster, with offsets from its axis."""
         return (self.engine,) if isinstance(self.engine, EngineSection) else self.engine or ()
 
     @property
     def engines(self) -> tuple[EngineSection, ...]:
-        """Return the engines at their places in the vehicle."""
+        """Return the engines with offsets from the vehicle's axis."""
         return tuple(
             _placed(engine, self.position_m, self.name, k if isinstance(self.engine, tuple) else None)
             for k, engine in enumerate(self.own_engines)
@@ -83,7 +81,10 @@ class Booster(Section):
 
 @cached_by_identity
 def _placed(engine: EngineSection, position_m: Pair, name: str, number: int | None) -> EngineSection:
-    """Return an engine with its offset from the body axis; `number` counts it if the booster has several."""
+    """Return an engine with its offset from the body axis, a name and a group.
+
+    `number` is its index if the booster has a list of engines, and None otherwise.
+    """
     offset_m = (engine.offset_m[0] + position_m[0], engine.offset_m[1] + position_m[1])
     own = engine.name or (name if number is None else f"{name}_{number + 1}")
     group = engine.group if engine.group or engine.gimbal == "fixed" else name

@@ -1,4 +1,4 @@
-"""The control design: gains over time, bending filter, roll control."""
+"""The sections of a control design: gains, filters, roll control and adaptation."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ GAIN_COLUMNS = Columns(
 
 
 class GainsSection(Section):
-    """The gains of the law (PD: paper, eq. 33), linear between rows; outside the table the end values hold."""
+    """The gains of the law (PD: paper, eq. 33), linear between rows; outside the table, the end values hold."""
 
     table: Annotated[CsvTable, GAIN_COLUMNS] = Field(
-        description="k_p (rad/rad), k_d_s (s), for pid k_i_ps (1/s), for load-relief k_a_s2pm (rad per m/s2), for "
-        "incidence-relief k_alpha (rad/rad) and, of the vehicle, percussion_m and accel_per_incidence_mps2, for drift "
-        "and pid-drift k_zd_radspm (rad per m/s) and k_z_radpm (rad per m), positive against the drift, over "
-        "time_s (vehicle clock), or over one of speed_mps (relative to the rotating Earth), mass_kg, "
-        "dynamic_pressure_Pa (of that speed in still air), which the computer knows without error"
+        description="k_p (rad/rad), k_d_s (s); pid: k_i_ps (1/s); load-relief: k_a_s2pm (rad per m/s2); "
+        "incidence-relief: k_alpha (rad/rad) and the vehicle's percussion_m and accel_per_incidence_mps2; drift, "
+        "pid-drift: k_zd_radspm (rad per m/s) and k_z_radpm (rad per m), positive against the drift. Over time_s "
+        "(vehicle clock) or one of speed_mps (relative to the rotating Earth), mass_kg, dynamic_pressure_Pa (of that "
+        "speed in still air), which the computer receives without error"
     )
-    yaw: Literal["pitch"] | None = optional('"pitch": as in pitch (the default without yaw_table)')
+    yaw: Literal["pitch"] | None = optional("gains as in pitch (the default without yaw_table)")
     yaw_table: Annotated[CsvTable, GAIN_COLUMNS] | None = optional("gains of the yaw axis")
     integral_limit_deg: Positive | None = optional(
-        "pid, pid-drift: limit of the integral's share of the command (default: none), deg"
+        "pid, pid-drift: limit of the integral part of the command, deg (default: none)"
     )
 
     def _check(self) -> None:
@@ -98,12 +98,12 @@ class FirstOrder(Section):
 class FilterPoint(Section):
     """The sections of a filter at a value of the variable of the gain table."""
 
-    time_s: float | None = optional("vehicle clock, s; one of these four, that of the gain table")
+    time_s: float | None = optional("vehicle clock, s; of these four variables only the gain table's")
     speed_mps: float | None = optional("speed relative to the rotating Earth, m/s")
     mass_kg: float | None = optional("mass, kg")
     dynamic_pressure_Pa: float | None = optional("dynamic pressure, Pa")
-    quadratic: tuple[Quadratic, ...] = optional("second-order sections, of the structure", ())
-    first_order: tuple[FirstOrder, ...] = optional("first-order sections, of the structure", ())
+    quadratic: tuple[Quadratic, ...] = optional("second-order sections of the structure", ())
+    first_order: tuple[FirstOrder, ...] = optional("first-order sections of the structure", ())
 
     def _check(self) -> None:
         given = [name for name in OVER if getattr(self, name) is not None]
@@ -116,11 +116,11 @@ class FilterPoint(Section):
 
     @property
     def at(self) -> float:
-        """Return the value of the variable."""
+        """Return the value of the variable at this point, in the unit of its key."""
         return float(getattr(self, self.over))
 
     def continuous(self) -> BendingFilter:
-        """Return the filter at this point."""
+        """Return the continuous filter at this point."""
         return _continuous(self.quadratic, self.first_order)
 
 
@@ -140,14 +140,14 @@ class FilterSection(Section):
     quadratic: tuple[Quadratic, ...] = optional("second-order sections: F2, F3: 1; F4, F5, F6: 2", ())
     first_order: tuple[FirstOrder, ...] = optional("first-order sections: F3, F5: 1; F6: 2", ())
     schedule: tuple[FilterPoint, ...] = optional(
-        "sections over the variable of the gain table, in place of quadratic and first_order: frequencies and damping "
-        "ratios are linear between the points, and hold outside",
+        "sections over the variable of the gain table, instead of quadratic and first_order: frequencies and damping "
+        "ratios are linear between points and constant outside",
         (),
     )
     discretization: Literal["prewarped", "bilinear", "matched", "zoh"] = optional(
         "prewarped: bilinear, and exact at prewarp_hz", "prewarped"
     )
-    prewarp_hz: Positive | None = optional("frequency at which prewarped is exact, Hz: mode 1")
+    prewarp_hz: Positive | None = optional("frequency at which prewarped is exact, Hz; usually mode 1")
 
     def _check(self) -> None:
         if self.schedule:
@@ -200,7 +200,7 @@ class FilterSection(Section):
         return len(form.quadratic), len(form.first_order)
 
     def scheduled(self) -> FilterSchedule:
-        """Return the filter over the flight, before discretisation."""
+        """Return the continuous filter over the variable of the gain table."""
         from maxq.control.filter_schedule import FilterSchedule  # noqa: PLC0415  # lazy, as in `_continuous`
 
         if not self.schedule:
@@ -210,12 +210,12 @@ class FilterSection(Section):
         )
 
     def continuous(self) -> BendingFilter:
-        """Return the constant filter before discretisation."""
+        """Return the continuous filter without a schedule."""
         return _continuous(self.quadratic, self.first_order)
 
     @lru_cache(maxsize=64)  # a campaign asks for every flight  # noqa: B019  # frozen, and few at a time
     def unfit(self, sample_s: float) -> str:
-        """Return the reason why no computer of this period can run the filter, or an empty string if one can."""
+        """Return the reason why the filter cannot be discretised with this sample period; empty if it can."""
         if self.structure == "none":
             return ""
         try:
@@ -227,11 +227,11 @@ class FilterSection(Section):
 
 
 class RollSection(Section):
-    """The roll control by on/off thrusters from roll angle + k_rate_s * roll rate."""
+    """The roll control by on/off thrusters, which respond to roll angle + k_rate_s * roll rate."""
 
     k_rate_s: NotNegative = Field(description="weight of the rate, s")
     dead_band_deg: Positive = Field(description="half width of the dead band, deg")
-    hysteresis_deg: NotNegative = optional("a thruster switches off at dead_band_deg minus this, deg", 0.0)
+    hysteresis_deg: NotNegative = optional("thrusters switch off at dead_band_deg minus hysteresis_deg, deg", 0.0)
     minimum_on_s: NotNegative = optional("shortest pulse, s", 0.0)
 
     def _check(self) -> None:
@@ -240,7 +240,7 @@ class RollSection(Section):
 
 
 class RollGimbal(Section):
-    """The roll control by two or more groups of engines: -k_p times roll angle, -k_d_s times roll rate."""
+    """The roll control by two or more groups of engines, with the command -k_p * roll angle - k_d_s * roll rate."""
 
     k_p: NotNegative = Field(description="rad of deflection per rad of roll error")
     k_d_s: NotNegative = Field(description="rad of deflection per rad/s of roll rate, s")
@@ -251,7 +251,7 @@ BlendWeights = Annotated[tuple[float, ...], Field(min_length=1, max_length=MAX_S
 
 
 class Blend(Section):
-    """The rate of the law: weights of all rate gyros, with sum 1."""
+    """The weights of all rate gyros in the rate that the law uses; their sum is 1."""
 
     pitch: BlendWeights = Field(description="weights in pitch")
     yaw: BlendWeights | None = optional("weights in yaw (default: as in pitch)")
@@ -268,13 +268,11 @@ class Blend(Section):
 
 
 class LoopFiltersSection(Section):
-    """The filters of the inputs of the law, by loop, in addition to the bending filter at its output."""
+    """The filters at the inputs of the law, one for each loop, in addition to the bending filter at its output."""
 
     attitude: FilterSection | None = optional("filter of the attitude error")
     rate: FilterSection | None = optional("filter of the (blended) rate")
-    acceleration: FilterSection | None = optional(
-        "filter of the lateral acceleration, before its lag; with load relief"
-    )
+    acceleration: FilterSection | None = optional("load relief: filter of the lateral acceleration before its lag")
 
     def _check(self) -> None:
         for name in type(self).model_fields:
@@ -290,27 +288,27 @@ class LoopFiltersSection(Section):
 
 
 class LoadReliefSection(Section):
-    """The feedback of lateral acceleration, or of an estimated angle of attack; its gain is in the gain table."""
+    """The feedback of lateral acceleration or of an estimated angle of attack, with its gain in the gain table."""
 
     corner_hz: Positive = Field(description="corner of the accelerometer's first-order lag in the computer, Hz")
 
 
 class AdaptiveSection(Section):
-    """The adaptive augmenting control: a total gain on the commands of pitch and yaw, 1 in nominal conditions."""
+    """The adaptive augmenting control: a total gain on the pitch and yaw commands, 1 in nominal conditions."""
 
     least_gain: Annotated[float, Field(gt=0.0, lt=1.0)] = optional("lower limit of the total gain", 0.5)
     most_gain: Annotated[float, Field(gt=1.0)] = optional("upper limit of the total gain", 2.0)
-    reference_hz: Positive = Field(description="reference model: frequency of the rigid body's motion, Hz")
+    reference_hz: Positive = Field(description="rigid-body frequency of the reference model, Hz")
     reference_zeta: Positive = optional("damping ratio of the reference model", 0.7)
     error_gain_pdeg2s: NotNegative = Field(
-        description="rate at which an attitude error beyond the reference model's raises the gain, 1/(deg2 s)"
+        description="rate at which an attitude error above the reference model's raises the gain, 1/(deg2 s)"
     )
     damper_gain_pdeg2s: NotNegative = Field(
         description="spectral damper: rate at which command content above high_pass_hz lowers the gain, 1/(deg2 s)"
     )
     leakage_ps: Positive = optional("rate at which the gain returns to 1, 1/s", 0.1)
     high_pass_hz: Positive = Field(description="corner of the spectral damper, between control and bending, Hz")
-    low_pass_hz: Positive = optional("corner of the mean of its square, Hz", 0.2)
+    low_pass_hz: Positive = optional("corner of its mean-square filter, Hz", 0.2)
 
     def _check(self) -> None:
         if self.high_pass_hz <= self.reference_hz:
@@ -319,11 +317,11 @@ class AdaptiveSection(Section):
 
 RENAMED = {"limits": "basis.limits"}
 DesignBasis = dict[str, Any]
-"""The basis of a design: nothing in a flight depends on it (design/case/basis.py reads it)."""
+"""The basis of a design, on which no flight depends (design/case/basis.py reads it)."""
 
 
 class StageLaw(Section):
-    """The keys that differ in a stage; absent keys are those of the design."""
+    """The keys of the design that differ in a stage; absent keys have the values of the design."""
 
     renamed: ClassVar[dict[str, str]] = RENAMED
 
@@ -340,17 +338,17 @@ class StageLaw(Section):
 
 
 class Design(Section):
-    """The control design, a file in designs/."""
+    """The control design, given by a file in designs/."""
 
     renamed: ClassVar[dict[str, str]] = RENAMED
 
     schema_version: Literal[2] = optional("version of the format", 2, alias="schema")
     name: str = optional("name of the design", "")
     description: str = optional("description, one sentence", "")
-    vehicle: str = optional("name of its vehicle; a flight of another vehicle needs an explicit request", "")
+    vehicle: str = optional("name of its vehicle; another vehicle flies it on explicit request only", "")
     law: Law = optional(
         "control law; pd: proportional-derivative with a bending filter; pid: pd with an integral; load-relief: pd "
-        "with feedback of the lateral acceleration; incidence-relief: pd with that of an estimated angle of attack; "
+        "with feedback of lateral acceleration; incidence-relief: pd with feedback of an estimated angle of attack; "
         "drift: pd with feedback of velocity and displacement across the path; pid-drift: drift with an integral",
         "pd",
     )
@@ -396,7 +394,7 @@ class Design(Section):
         if self.law not in RELIEF and any(given.acceleration is not None for given in loops):
             allowed = f"law = {' or '.join(map(repr, RELIEF))}"
             raise refuse(f"the law {self.law} takes no acceleration", allowed, ("loop_filters", "acceleration"))
-        for n in range(len(self.stage) + 1):  # the last one: of a stage without keys
+        for n in range(len(self.stage) + 1):  # the last n is that of a stage without keys
             own = self.of_stage(n)
             if own.filter.schedule and own.filter.schedule[0].over != own.gains.over:
                 mine = n < len(self.stage) and self.stage[n].filter is not None
@@ -405,17 +403,17 @@ class Design(Section):
 
     @property
     def gain_names(self) -> tuple[str, ...]:
-        """Return the columns of the gain tables."""
+        """Return the names of the gains in the gain tables."""
         return GAINS[self.law]
 
     @property
     def at_unit_gain(self) -> Design:
-        """Return the design without adaptation: its linear loops are those at a total gain of 1."""
+        """Return the design without adaptation, whose linear loops are those at a total gain of 1."""
         still = tuple(own.model_copy(update={"adaptive": None}) for own in self.stage)
         return self.model_copy(update={"adaptive": None, "stage": still})
 
     def of_stage(self, number: int) -> Design:
-        """Return the design that a stage flies, from 0; for a design without stages, the same object."""
+        """Return the design that stage `number` flies, counted from 0; the same object for a design without stages."""
         if not self.stage:
             return self
         own = self.stage[number] if number < len(self.stage) else StageLaw()

@@ -1,4 +1,4 @@
-"""Site, Earth, atmosphere and wind."""
+"""The sections of a scenario for launch site, Earth, atmosphere and wind."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ class Site(Section):
     latitude_deg: Latitude = optional("geodetic latitude, deg, north positive", 0.0)
     longitude_deg: Longitude = optional("longitude, deg, east positive", 0.0)
     altitude_m: float = optional("height above the ellipsoid, m", 0.0)
-    azimuth_deg: Angle = optional("launch azimuth, deg from north through east: direction of body z on the pad", 90.0)
+    azimuth_deg: Angle = optional("launch azimuth, deg from north through east; direction of body z on the pad", 90.0)
     utc: str = optional("date and time of T0, for information only", "")
 
 
 class EarthSection(Section):
     """The shape, rotation and gravity of the Earth."""
 
-    shape: Literal["wgs84", "sphere", "flat"] = optional("figure; flat: uniform and not rotating", "wgs84")
+    shape: Literal["wgs84", "sphere", "flat"] = optional("figure; flat: not rotating, gravity uniform or none", "wgs84")
     rotating: bool = optional("rotation of the Earth", True)
     gravity: Literal["j2", "inverse_square", "uniform", "none"] = optional("gravitation", "j2")
-    mu_m3ps2: Positive | None = optional("gravitational parameter, m3/s2 (default: of the shape)")
+    mu_m3ps2: Positive | None = optional("gravitational parameter, m3/s2 (default: the shape's)")
     j2: float | None = optional("oblateness coefficient (default: WGS-84)")
-    equatorial_radius_m: Positive | None = optional("of the ellipsoid, m (default: WGS-84)")
-    flattening: Annotated[float, Field(ge=0.0, lt=1.0)] | None = optional("of the ellipsoid")
-    sphere_radius_m: Positive | None = optional("of the sphere, m")
+    equatorial_radius_m: Positive | None = optional("ellipsoid radius, m (default: WGS-84)")
+    flattening: Annotated[float, Field(ge=0.0, lt=1.0)] | None = optional("ellipsoid flattening (default: WGS-84)")
+    sphere_radius_m: Positive | None = optional("radius with shape = 'sphere', m")
     rate_radps: float | None = optional("rotation rate, rad/s (default: WGS-84)")
     uniform_mps2: NotNegative | None = optional("uniform gravity, m/s2 (default 9.80665)")
     gravity_radius_m: Positive | None = optional("reference radius of J2, m (default: equatorial)")
@@ -72,16 +72,16 @@ class EarthSection(Section):
 
 
 class AtmosphereSection(Section):
-    """The air at rest relative to the Earth."""
+    """The atmosphere at rest relative to the Earth."""
 
     model: Literal["us1976", "table", "constant", "vacuum"] = optional(
         "us1976: US Standard Atmosphere 1976, -5 to 1000 km (no air above); vacuum: no air", "us1976"
     )
-    table: Annotated[CsvTable, ATMOSPHERE_COLUMNS] | None = optional('for model = "table"')
-    density_kgpm3: NotNegative | None = optional('kg/m3, for model = "constant"')
-    temperature_K: Positive | None = optional('K, for model = "constant" (default 288.15)')
-    pressure_Pa: NotNegative | None = optional('Pa, for model = "constant" (default 101325)')
-    density_factor: NotNegative = optional("multiplies density", 1.0)
+    table: Annotated[CsvTable, ATMOSPHERE_COLUMNS] | None = optional('air over altitude, for model = "table"')
+    density_kgpm3: NotNegative | None = optional('density, kg/m3, for model = "constant"')
+    temperature_K: Positive | None = optional('temperature, K, for model = "constant" (default 288.15)')
+    pressure_Pa: NotNegative | None = optional('pressure, Pa, for model = "constant" (default 101325)')
+    density_factor: NotNegative = optional("factor on the density", 1.0)
 
     def _check(self) -> None:
         self.only_with(("table",), self.model == "table", "model = 'table'")
@@ -102,10 +102,10 @@ class Gust(Section):
         description="one-minus-cosine: rises over edge_m, holds, falls over edge_m; "
         "shear: rises over thickness_m, holds"
     )
-    altitude_m: float = Field(description="altitude of its beginning, m")
-    thickness_m: Positive = Field(description="height from its beginning to its end (edges included), m")
+    altitude_m: float = Field(description="altitude of its base, m")
+    thickness_m: Positive = Field(description="thickness including the edges, m")
     edge_m: Positive | None = optional("length of each edge, m (one-minus-cosine)")
-    speed_mps: NotNegative = Field(description="largest speed, m/s")
+    speed_mps: NotNegative = Field(description="peak speed, m/s")
     from_deg: Angle = Field(description="direction from which it blows, deg from north through east")
 
     def _check(self) -> None:
@@ -116,28 +116,29 @@ class Gust(Section):
 
 
 class TurbulenceSection(Section):
-    """The random wind."""
+    """The turbulence, a random wind in addition to the mean wind."""
 
     model: Literal["dryden", "von-karman", "spectrum"] = optional(
-        "dryden, von-karman: spectra of MIL-F-8785C along the path; spectrum: of the horizontal wind over altitude",
+        "dryden, von-karman: spectra of MIL-F-8785C along the path; spectrum: that of the horizontal wind over "
+        "altitude",
         "dryden",
     )
     frame: Literal["body", "horizontal"] = optional(
-        "axes of u, v, w: body x, y, z; or north, east, down with spectra by the direction of flight, for a rising "
-        "vehicle near the ground (spectrum: always horizontal)",
+        "axes of u, v, w: body x, y, z; or north, east, down with spectra by the direction of flight, for a climb "
+        "near the ground (spectrum: always horizontal)",
         "body",
     )
     spectrum: Annotated[CsvTable, SPECTRUM_COLUMNS] | None = optional(
-        "one-sided power spectrum of the north and of the east wind, (m/s)^2 per cycle/m, over the vertical wave "
-        'number, cycles/m, for model = "spectrum"'
+        "one-sided power spectrum of each horizontal component, (m/s)^2 per cycle/m, over the vertical wave number, "
+        'cycles/m, for model = "spectrum"'
     )
     exceedance: Literal["light", "moderate", "severe"] | None = optional("severity")
     table: Annotated[CsvTable, TURBULENCE_COLUMNS] | None = optional(
-        "standard deviations along (u), across (v), down (w), instead of exceedance"
+        "standard deviations of u, v, w over altitude, instead of exceedance"
     )
-    length_u_m: Positive | None = optional("scale length along, m (default: MIL-F-8785C)")
-    length_v_m: Positive | None = optional("scale length across, m (default: MIL-F-8785C)")
-    length_w_m: Positive | None = optional("scale length down, m (default: MIL-F-8785C)")
+    length_u_m: Positive | None = optional("scale length of u, m (default: MIL-F-8785C)")
+    length_v_m: Positive | None = optional("scale length of v, m (default: MIL-F-8785C)")
+    length_w_m: Positive | None = optional("scale length of w, m (default: MIL-F-8785C)")
     seed: Annotated[int, Field(ge=0, lt=2**63)] | None = optional("seed (default: from run.seed)")
 
     def _check(self) -> None:
@@ -157,16 +158,16 @@ class GroundShear(Section):
     """The wind between the ground and the lowest level of the profile, in the direction of that level."""
 
     law: Literal["power", "log"] = Field(
-        description="speed over the height h above the site; power: h^exponent; log: ln(1 + h / roughness_m)"
+        description="speed at height h above the site as power: h^exponent; log: ln(1 + h / roughness_m)"
     )
     exponent: Fraction | None = optional("power (default 1/7)")
     roughness_m: Positive | None = optional("log: roughness length, m (default 0.03, open grass)")
     height_m: Positive = optional(
-        "height of speed_mps above the site; without speed_mps, the least height at which the lowest level counts as "
-        "measured (a surface report is for the height of its station)",
+        "height of speed_mps above the site, m; without speed_mps, least height assigned to the lowest level (a "
+        "surface report gives the height of its station)",
         10.0,
     )
-    speed_mps: NotNegative | None = optional("speed measured at height_m; lower levels of the profile are omitted, m/s")
+    speed_mps: NotNegative | None = optional("speed measured at height_m, m/s; lower levels of the profile are omitted")
     from_deg: Angle | None = optional("direction from which it blows, deg from north through east")
 
     def _check(self) -> None:
@@ -181,15 +182,15 @@ class WindSection(Section):
     """The motion of the air relative to the Earth."""
 
     profile: Annotated[CsvTable, WIND_COLUMNS] | None = optional("wind over altitude")
-    ground: GroundShear | None = optional("absent: the lowest level of the profile holds down to the ground")
+    ground: GroundShear | None = optional("absent: the lowest level of the profile extends to the ground")
     speed_mps: NotNegative | None = optional("constant wind, m/s, instead of a profile")
     from_deg: Angle | None = optional("direction from which it blows, deg from north through east")
     interpolation: Literal["linear", "pchip"] = optional("interpolation between the rows of the profile", "linear")
     outside: Literal["hold", "error"] = optional(
         "hold: end values hold outside the profile; error: a flight above the profile fails", "hold"
     )
-    factor: float = optional("multiplies profile or constant wind", 1.0)
-    turn_deg: Angle = optional("rotation of the profile and its ground shear, added to the direction, deg", 0.0)
+    factor: float = optional("factor on profile or constant wind", 1.0)
+    turn_deg: Angle = optional("angle added to the direction of the profile and its ground shear, deg", 0.0)
     gust: tuple[Gust, ...] = optional("gusts and shear layers", (), max_length=MAX_GUSTS)
     turbulence: TurbulenceSection | None = optional("absent: none")
 

@@ -1,7 +1,7 @@
-"""Faults: the failed part, the time of the failure, and its duration.
+"""The faults of a scenario: the failed part, the time of the failure, and its end.
 
-A kind of fault is an entry of KINDS (its keys) and its name in FaultKind. sim/packing/faults.py defines the effects of
-faults of a part. A key that no kind has yet becomes a field of Fault.
+A new kind of fault needs its name in FaultKind and an entry of KINDS with its keys. A key that no other kind has
+becomes a field of Fault. sim/packing/faults.py defines the effects of a fault.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ FaultKind = Literal[
 
 
 class FaultAbout(NamedTuple):
-    """The subject of a kind of fault: `part` is the key that the stage's section must have."""
+    """The keys of a kind of fault. `part` is a key that the section of the stage must have."""
 
     part: str
     axes: tuple[str, ...] = ()  # allowed values of `axis`
@@ -70,18 +70,18 @@ class Fault(Section):
     """A part that fails, permanently or for a time."""
 
     kind: FaultKind = Field(
-        description="engine-off: no thrust and no flow; thrust-loss: a share of both is lost; gyro-stuck, "
+        description="engine-off: no thrust or flow; thrust-loss: a share of both is lost; gyro-stuck, "
         "accelerometer-stuck: constant output; -dead: zero output; -bias, -noisy: a constant or noise is added; "
         "actuator-stuck: constant servo position; actuator-hard-over: the servo moves to angle_deg within its limits; "
         "actuator-floating: no force, and the engine swings freely on its gimbal (without a TVC load the servo is "
         "centred)"
     )
     at_s: Seconds = Field(description="instant of the failure, s, whole ns")
-    since: Literal["clock", "liftoff"] = optional("at_s and until_s on the vehicle clock, or from liftoff on", "clock")
+    since: Literal["clock", "liftoff"] = optional("zero of at_s and until_s: vehicle clock or liftoff", "clock")
     until_s: Seconds | None = optional("end of the failure, s, whole ns (default: none)")
     stage: int | None = optional("stage, from 0 (default: the active one)", None, ge=0, lt=MAX_STAGES)
     gyro: int | None = optional(
-        "gyro as numbered in the log: 1 is [stage.gyro], from 2 on [[stage.rate_gyro]] (default: 1)",
+        "gyro number in the log: 1 is [stage.gyro], 2 and above [[stage.rate_gyro]] (default: 1)",
         None,
         ge=1,
         le=MAX_SENSORS,
@@ -121,17 +121,17 @@ class Fault(Section):
 
     @property
     def of_engines(self) -> bool:
-        """Return True if thrust and mass flow change, which packing must know beforehand."""
+        """Return True if the fault changes thrust and mass flow over time, which are computed before the flight."""
         return KINDS[self.kind].part == "engine"
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Return the axes that fail."""
+        """Return the failed axes; empty for a part without axes."""
         return KINDS[self.kind].axes if self.axis is None else (self.axis,)
 
     @property
     def text(self) -> str:
-        """Return kind and target, for messages."""
+        """Return the kind and the failed part, for messages."""
         targets = [(key, getattr(self, key)) for key in KINDS[self.kind].targets]
         named = [value if isinstance(value, str) else f"{key} {value}" for key, value in targets if value is not None]
         return " ".join((self.kind, *named))

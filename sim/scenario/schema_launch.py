@@ -1,4 +1,4 @@
-"""The launch from a rail or next to a tower, errors of navigation, and the ends of the burns of the last engine."""
+"""The sections of a scenario for rail, tower, navigation errors, and the burns of the last engine."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class OrbitTarget(Section):
     )
     isp_s: Positive = Field(description="effective specific impulse used by the guidance, s")
     cutoff_at: Literal["perigee", "apogee"] = optional("place of the cutoff", "perigee")
-    start_s: Seconds = optional("vehicle clock, s; at least 3 s after the ignition; not of a restart", 0.0)
+    start_s: Seconds = optional("start on the vehicle clock, s, at least 3 s after ignition; not for a restart", 0.0)
     cycle_s: Positive = optional("time between two solutions, s", 1.0)
     rate_limit_degps: Positive = optional("rate limit of the commanded attitude, deg/s", 3.0)
 
@@ -32,7 +32,7 @@ class OrbitTarget(Section):
 
 
 class Cutoff(Section):
-    """The cutoff of the last engine where one quantity reaches its value."""
+    """The cutoff of the last engine when the given quantity reaches its value."""
 
     earth_speed_mps: Positive | None = optional("speed relative to the Earth, m/s")
     inertial_speed_mps: Positive | None = optional("inertial speed, m/s")
@@ -47,22 +47,20 @@ class Cutoff(Section):
 
     @property
     def wanted(self) -> tuple[str, float] | None:
-        """Return the key and the value of the quantity."""
+        """Return the key and the value of the given quantity, or None if none is given."""
         given = {key: value for key in type(self).model_fields if (value := getattr(self, key)) is not None}
         return next(iter(given.items()), None)
 
 
 class Restart(Section):
-    """A further burn of the last engine after a coast, in which thrusters point the vehicle along its level motion."""
+    """A further burn of the last engine after a coast in which thrusters align the vehicle with its level motion."""
 
-    coast_s: Positive | None = optional("from the preceding cutoff to the ignition, s")
+    coast_s: Positive | None = optional("time from the preceding cutoff to ignition, s")
     before_apogee_s: NotNegative | None = optional(
-        "ignition before the next apogee of the Kepler orbit, s; at once if that is nearer"
+        "time from ignition to the next apogee of the Kepler orbit, s; immediate ignition if less remains"
     )
-    settling_s: Seconds = optional("duration of settling thrust, which ends at the ignition, s", 0.0)
-    settling_thrust_N: NotNegative = optional(
-        "settling thrust, forward, of thrusters with their own propellant, N", 0.0
-    )
+    settling_s: Seconds = optional("duration of settling thrust, which ends at ignition, s", 0.0)
+    settling_thrust_N: NotNegative = optional("forward settling thrust of thrusters with their own propellant, N", 0.0)
     orbit: OrbitTarget | None = optional("closed-loop guidance of this burn")
     cutoff: Cutoff | None = optional("instead of orbit: cutoff, with thrust along the level motion")
 
@@ -78,11 +76,11 @@ class Restart(Section):
 
 
 class Rail(Section):
-    """A launch rail. The vehicle moves along its axis, in a fixed attitude, until its last button leaves the rail."""
+    """A launch rail. Until the last button leaves it, the vehicle moves along the rail with a fixed attitude."""
 
     length_m: Positive = Field(description="travel until the last button leaves, m")
-    elevation_deg: Annotated[float, Field(gt=0.0, le=90.0)] = Field(description="above the horizontal, deg")
-    azimuth_deg: Angle | None = optional("deg from north through east (default: site.azimuth_deg)")
+    elevation_deg: Annotated[float, Field(gt=0.0, le=90.0)] = Field(description="angle above the horizontal, deg")
+    azimuth_deg: Angle | None = optional("azimuth, deg from north through east (default: site.azimuth_deg)")
 
 
 class NavigationSection(Section):
@@ -91,22 +89,21 @@ class NavigationSection(Section):
     position_error_m: Triple = optional("north, east, down, m", (0.0, 0.0, 0.0))
     velocity_error_mps: Triple = optional("north, east, down, m/s", (0.0, 0.0, 0.0))
     alignment_error_deg: Triple = optional(
-        "of the computed attitude, a rotation about x, y, z of the body, deg; grows with the gyros' errors",
-        (0.0, 0.0, 0.0),
+        "rotation error of the computed attitude about body x, y, z, deg; grows with the gyros' errors", (0.0, 0.0, 0.0)
     )
 
 
 class Tower(Section):
-    """A vertical cylinder next to the pad, from the height of the nozzle exits on the pad upwards."""
+    """A vertical cylinder next to the pad, with its base at the height of the nozzle exits on the pad."""
 
-    distance_m: Positive = Field(description="from the vehicle's axis to that of the tower, m")
+    distance_m: Positive = Field(description="distance between the axes of vehicle and tower, m")
     azimuth_deg: Angle = Field(description="direction to the tower, deg from north through east")
-    height_m: Positive = Field(description="above the nozzle exits on the pad, m")
-    radius_m: NotNegative = optional("m", 0.0)
+    height_m: Positive = Field(description="height above the nozzle exits on the pad, m")
+    radius_m: NotNegative = optional("radius, m", 0.0)
     vehicle_radius_m: Positive | None = optional(
-        "of the cylinder around vehicle, fins and nozzles, m (default: half of reference.diameter_m)"
+        "radius of the cylinder around vehicle, fins and nozzles, m (default: half of reference.diameter_m)"
     )
 
     def vehicle_radius(self, diameter_m: float) -> float:
-        """Return the radius of the cylinder around a vehicle of this reference diameter, m."""
+        """Return the radius of the cylinder around a vehicle with the reference diameter `diameter_m`, m."""
         return 0.5 * diameter_m if self.vehicle_radius_m is None else self.vehicle_radius_m

@@ -1,4 +1,4 @@
-"""The scenario: vehicle and design, initial state, injected signals and requirements of a flight."""
+"""The scenario of a flight: vehicle, design, initial state, guidance, injected signals and requirements."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ class Geodetic(Section):
 
 
 class Initial(Section):
-    """The state at the start, with at most one key each for position, velocity, attitude and rates."""
+    """The state at the start, with at most one key for each of position, velocity, attitude and rates."""
 
-    held: bool = optional("hold-down until release", False)
+    held: bool = optional("hold-down until the release", False)
     geodetic: Geodetic | None = optional("position (default: the site)")
     inertial_m: Triple | None = optional("position in I, m")
     earth_m: Triple | None = optional("position in E, m")
@@ -62,8 +62,8 @@ class Initial(Section):
     euler_deg: Triple | None = optional(
         "yaw, pitch, roll (3-2-1) of B from north, east, down, deg (default: nose up, body z at azimuth)"
     )
-    q_BI: FourNumbers | None = optional("unit quaternion, scalar first, transforms B components into I")
-    dcm_BI: ThreeRows | None = optional("direction cosines, transform I components into B")
+    q_BI: FourNumbers | None = optional("unit quaternion from B to I components, scalar first")
+    dcm_BI: ThreeRows | None = optional("direction cosine matrix from I to B components")
     rate_BI_degps: Triple | None = optional("inertial rates p, q, r in B, deg/s")
     rate_BI_radps: Triple | None = optional("inertial rates p, q, r in B, rad/s")
     rate_BE_degps: Triple | None = optional("rates relative to the Earth in B, deg/s (default 0)")
@@ -107,10 +107,10 @@ FREQUENCIES = {
 
 
 class Injection(Section):
-    """A signal on one axis."""
+    """A test signal about or along an axis."""
 
     at: Literal["gimbal_command", "rate_command", "body_force", "body_torque", "thrust"] = Field(
-        description="place of the signal; thrust: of all engines that burn"
+        description="place of the signal; thrust: all burning engines"
     )
     axis: Literal["pitch", "yaw", "roll", "x", "y", "z"] = Field(
         description="gimbal_command: pitch, yaw; rate_command: pitch, yaw, roll; body_*: x, y, z; thrust: x"
@@ -119,22 +119,20 @@ class Injection(Section):
         description="shape; doublet: + in the first half, - in the second; chirp: linear change of frequency"
     )
     replaces: bool = optional("true: replaces the command; false: is added to it", False)
-    amplitude_deg: float | None = optional("deg, at gimbal_command")
-    amplitude_degps: float | None = optional("deg/s, at rate_command")
-    amplitude_N: float | None = optional("N, at body_force")
-    amplitude_Nm: float | None = optional("N m, at body_torque")
-    amplitude_share: Annotated[float, Field(ge=-1.0, le=1.0)] | None = optional(
-        "of the thrust at that instant, at thrust"
-    )
+    amplitude_deg: float | None = optional("amplitude at gimbal_command, deg")
+    amplitude_degps: float | None = optional("amplitude at rate_command, deg/s")
+    amplitude_N: float | None = optional("amplitude at body_force, N")
+    amplitude_Nm: float | None = optional("amplitude at body_torque, N m")
+    amplitude_share: Annotated[float, Field(ge=-1.0, le=1.0)] | None = optional("amplitude at thrust, as a share of it")
     start_s: Seconds = optional("start on the vehicle clock, s, whole ns", 0.0)
     stop_s: Seconds | None = optional("end, s, whole ns (default: end of the flight)")
-    frequency_hz: Positive | None = optional("Hz, of sine; first of chirp")
-    stop_frequency_hz: Positive | None = optional("Hz, last of chirp")
+    frequency_hz: Positive | None = optional("frequency of sine, start of chirp, Hz")
+    stop_frequency_hz: Positive | None = optional("end of chirp, Hz")
     frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=MAX_TONES)] | None = optional(
-        "Hz, of multisine; all have the amplitude, with Schroeder phases"
+        "frequencies of multisine, Hz, with equal amplitudes and Schroeder phases"
     )
     table: Annotated[CsvTable, SIGNAL_COLUMNS] | None = optional(
-        "signal over the vehicle clock in the unit of the target, for kind = table"
+        "kind = table: signal over the vehicle clock, in the unit of the target"
     )
 
     def _check(self) -> None:
@@ -171,9 +169,9 @@ class Injection(Section):
 
     @property
     def highest_hz(self) -> tuple[float, ...]:
-        """Return the highest frequencies of the signal.
+        """Return the highest frequencies of the signal, Hz; 0 for a frequency that is not given.
 
-        Steps and tables have none: the integrator restarts at their kinks.
+        Steps and tables need none, because the integrator restarts at their kinks.
         """
         return (*(self.frequencies_hz or ()), self.frequency_hz or 0.0, self.stop_frequency_hz or 0.0)
 
@@ -184,17 +182,17 @@ Ending = Literal["impact", "apogee", "burnout", "tumble"]
 
 USUAL_STEP_S = 0.001
 MOST_HALVINGS = 3
-"""The most halvings of the step of run.accuracy: a step of 10 ms becomes 1.25 ms, near that of a single flight."""
+"""The largest number of halvings of the step of run.accuracy, which reduce 10 ms to 1.25 ms."""
 
 
 class Run(Section):
-    """The duration, the steps and the end of the flight."""
+    """The duration, the integration step and the end of the flight."""
 
     duration_s: Period = optional("maximum duration from start_s on, s, whole ns", 400.0)
     step_s: Annotated[Period, Field(le=1.0)] = optional("integrator step, s, whole ns", USUAL_STEP_S)
     accuracy: Annotated[float, Field(gt=0.0, le=0.1)] | None = optional(
-        "integration error allowed, as a share of the requirements (docs/performance.md): steps as long as the "
-        "vehicle's fastest oscillation allows, instead of step_s (campaigns: 0.05 if neither is given)"
+        "allowed integration error, as a share of the requirements (docs/performance.md), from which the step "
+        "follows, instead of step_s (campaigns: 0.05 if neither is given)"
     )
     halvings: Annotated[int, Field(ge=0, le=MOST_HALVINGS)] = optional(
         "number of times that the step of run.accuracy is halved", 0
@@ -202,7 +200,7 @@ class Run(Section):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = optional("seed of all noise", 1)
     start_s: Seconds = optional("vehicle clock at the start, s, whole ns", 0.0)
     freeze_vehicle_at_s: Seconds | None = optional(
-        "vehicle clock at which mass, thrust, modes and the like are frozen, without cutoff, s (default: not)"
+        "vehicle clock at which mass, thrust and modes are frozen, without cutoff, s (default: never)"
     )
     stop_at: tuple[Ending, ...] = optional("events that end the flight; burnout: that of the last stage", ("impact",))
 
@@ -218,7 +216,7 @@ class Run(Section):
 
 
 class Guidance(Section):
-    """The commanded body rates over time."""
+    """The commanded body rates over time, and the targets of the last engine's burns."""
 
     programme: Annotated[CsvTable, PROGRAMME_COLUMNS] | None = optional(
         "commanded rates over the vehicle clock (default: zero)"
@@ -233,7 +231,7 @@ class Guidance(Section):
 
     @property
     def ends(self) -> tuple[OrbitTarget | Cutoff | None, ...]:
-        """Return what each burn of the last engine ends at, or None for the end of its propellant."""
+        """Return the target of each burn of the last engine; None for a burn until the propellant is spent."""
         return self.orbit or self.cutoff, *(restart.orbit or restart.cutoff for restart in self.restart)
 
     def _check(self) -> None:
@@ -247,7 +245,7 @@ class Guidance(Section):
 class HoldDown(Section):
     """The release of a vehicle that is held down."""
 
-    release: Literal["thrust", "time"] = optional("when thrust exceeds weight, or at release_s", "thrust")
+    release: Literal["thrust", "time"] = optional("release when thrust exceeds weight, or at release_s", "thrust")
     release_s: Seconds | None = optional('vehicle clock of the release, s, for release = "time"')
     clamped: bool = optional(
         "the vehicle is clamped at its first gimbal and bends on it (off: the body is held, and its modes are free)",
@@ -265,17 +263,17 @@ class Switches(Section):
 
     aerodynamics: bool = optional("all aerodynamic forces", True)
     thrust: bool = optional("thrust", True)
-    slosh: bool = optional("pendulums; off: the liquid is frozen", True)
+    slosh: bool = optional("slosh pendulums; off: the liquid is frozen", True)
     slosh_exchange: bool = optional(
         "liquid that moves from a pendulum's bob to the core keeps its momentum (off: arrives at rest)", False
     )
     bending: bool = optional("bending modes", True)
     bending_softening: bool = optional("axial load softens the modes", True)
-    follower_thrust: bool = optional("thrust turns with the bent gimbal", True)
+    follower_thrust: bool = optional("thrust turns with the mode slope at the gimbal", True)
     engine_inertia: bool = optional("reaction of the gimballed mass (tail wags dog)", True)
     tvc_load: bool = optional("engine on its compliance; off: it follows its actuators exactly", True)
     jet_damping: bool = optional("damping by the mass flow", True)
-    moving_cg: bool = optional("terms of changing CG and inertia", True)
+    moving_cg: bool = optional("rates of CG and inertia", True)
     actuator: Literal["full", "linear", "ideal"] = optional("linear: no limits; ideal: angle = command", "full")
     gyro: Literal["full", "ideal"] = optional("ideal: measures the true rate", "full")
     converter: Literal["full", "ideal"] = optional("ideal: no quantisation", "full")
@@ -291,7 +289,7 @@ class Switches(Section):
 
 
 class LogSection(Section):
-    """The rates of the log."""
+    """The sample rates of the log."""
 
     fast_hz: Rate = optional("rate of actuator, bending, slosh, control and gyro, Hz; must divide 1e9", 1000.0)
     slow_hz: Rate = optional("rate of the other topics, Hz; must divide 1e9", 100.0)
@@ -302,13 +300,13 @@ class RequirementSection(Section):
     """A limit for a metric of the flight."""
 
     metric: str = Field(description="name of the metric")
-    limit: float | None = optional("at most this")
-    minimum: float | None = optional("at least this")
+    limit: float | None = optional("largest value allowed")
+    minimum: float | None = optional("smallest value allowed")
     name: str = optional("name in reports (default: the metric)", "")
 
     @property
     def bound(self) -> tuple[str, float]:
-        """Return `limit` or `minimum`, and its value."""
+        """Return the key `limit` or `minimum`, and its value."""
         return ("limit", self.limit) if self.limit is not None else ("minimum", self.minimum or 0.0)
 
     @model_validator(mode="after")
@@ -324,7 +322,7 @@ class RequirementSection(Section):
 
 
 class Scenario(Section):
-    """A scenario with its vehicle and design in full, all `extends` and overrides applied."""
+    """A scenario with its complete vehicle and design, after all `extends` and overrides are applied."""
 
     schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
     name: str = optional("default: the file's name", "")
@@ -341,10 +339,10 @@ class Scenario(Section):
     holddown: HoldDown = HoldDown()
     rail: Rail | None = optional("absent: no launch rail")
     tower: Tower | None = optional("absent: none")
-    navigation: NavigationSection | None = optional("absent: no errors but those of the gyros in the attitude")
+    navigation: NavigationSection | None = optional("absent: no errors except those of the gyros in the attitude")
     injection: tuple[Injection, ...] = optional("signals for tests", (), max_length=MAX_INJECTIONS)
     fault: tuple[Fault, ...] = optional(
-        "parts that fail; of two faults of one part the later entry holds", (), max_length=MAX_FAULTS
+        "failures of parts; of two entries for a part, the later holds", (), max_length=MAX_FAULTS
     )
     switches: Switches = Switches()
     log: LogSection = LogSection()
@@ -389,7 +387,7 @@ class Scenario(Section):
                 raise refuse("the vehicle has no [computer]", "body_force, body_torque", key)
 
     def _check_burns(self) -> None:
-        """Check the ends of the burns of the last engine."""
+        """Check the targets of the burns of the last engine, and that vehicle and Earth allow them."""
         keys = [(), *(("restart", n) for n in range(len(self.guidance.restart)))]
         for n, (key, end) in enumerate(zip(keys, self.guidance.ends, strict=True)):
             at = ("guidance", *key, "orbit" if isinstance(end, OrbitTarget) else "cutoff")
@@ -444,7 +442,7 @@ class Scenario(Section):
             raise refuse("no plane through the site has it", allowed, (*at, "inclination_deg"))
 
     def _check_launch(self) -> None:
-        """Check rail and tower, and that the metrics required of them and of a cutoff exist."""
+        """Check rail, tower and navigation, and that the flight measures all required metrics of launch and cutoff."""
         given = [name for name in ATTITUDES if self.initial is not None and getattr(self.initial, name) is not None]
         for key in ("rail", "tower"):
             if getattr(self, key) is not None and not self.held:
@@ -528,7 +526,7 @@ class Scenario(Section):
             if fault.gyro is not None and fault.gyro > gyros:
                 allowed = f"1 .. {gyros}: [stage.gyro], then each [[stage.rate_gyro]]"
                 raise refuse("the vehicle has no such gyro", allowed, ("fault", n, "gyro"))
-            ideal = self.switches.gyro == "ideal" and part == "accelerometer"  # the switch is that of all sensors
+            ideal = self.switches.gyro == "ideal" and part == "accelerometer"  # this switch applies to all sensors
             if ideal or getattr(self.switches, part, "") == "ideal":
                 switch = "gyro" if ideal else part
                 raise refuse(f"an ideal {part} cannot fail", f"switches.{switch} = 'full'", ("fault", n, "kind"))

@@ -1,4 +1,4 @@
-"""The vehicle: a list of stages, its reference lengths and its flight computer."""
+"""The sections of a vehicle: its stages, reference lengths and flight computer."""
 
 from __future__ import annotations
 
@@ -42,25 +42,23 @@ class ComputerSection(Section):
     """The flight computer: converter, sampling, delay and output."""
 
     sample_s: Period = Field(description="sample period, s, whole ns")
-    delay_s: Seconds = Field(description="from sample to output, s, whole ns, at most sample_s")
+    delay_s: Seconds = Field(description="delay from sample to output, s, whole ns, at most sample_s")
     count_rad: NotNegative = Field(description="angle per pulse of the V/F converter, rad; 0: no quantisation")
     dac_step_deg: NotNegative = optional("step of the output, deg; 0: no quantisation", 0.0)
     attitude: Attitude = optional(
-        "method of the attitude error. quaternion: strapdown, roll and tilt about body axes; rate-integral: separate "
+        "method of the attitude error; quaternion: strapdown, roll and tilt about body axes; rate-integral: separate "
         "integrals of the body rates (paper, eq. 33), for vehicles that turn about one axis",
         "quaternion",
     )
     angle_error_limit_deg: Positive = Field(description="clamp of the attitude error for the law, deg")
     command_limit_deg: Positive = Field(description="clamp of the gimbal command, deg")
-    law: Literal["design", "external"] = optional(
-        "external: external flight code instead of the design's law", "design"
-    )
+    law: Literal["design", "external"] = optional("control law: that of the design, or external flight code", "design")
     library: LibraryFile | None = optional("flight code: shared library (C ABI of maxq_fsw.h)")
     python: PythonClass | None = optional("flight code: Python class, file.py:Class")
     address: Address | None = optional("flight code: computer behind a socket, tcp://127.0.0.1:PORT or udp://...")
     sources: SourceFiles | None = optional("sources of the library, a folder or file: hashed, not run")
     data: SourceFiles | None = optional(
-        "folder or file that the flight code reads: hashed. Guarded Python code can read no other data"
+        "folder or file that the flight code reads: hashed; guarded Python code can read no other data"
     )
     settings: Settings = optional("text passed to the flight code at its start", "")
     timeout_s: Positive = optional("time limit of the flight code for one sample, s", 2.0)
@@ -89,10 +87,10 @@ class ComputerSection(Section):
 
 
 class StageComputer(Section):
-    """The keys of the flight computer that differ during a stage."""
+    """The keys of the flight computer that differ in a stage."""
 
     sample_s: Period | None = optional("sample period, s, whole ns")
-    delay_s: Seconds | None = optional("from sample to output, s, whole ns, at most sample_s")
+    delay_s: Seconds | None = optional("delay from sample to output, s, whole ns, at most sample_s")
     dac_step_deg: NotNegative | None = optional("step of the output, deg; 0: no quantisation")
     angle_error_limit_deg: Positive | None = optional("clamp of the attitude error (anti-windup), deg")
     command_limit_deg: Positive | None = optional("clamp of the gimbal command, deg")
@@ -101,7 +99,7 @@ class StageComputer(Section):
 class Separation(Section):
     """The loads and rates on the next stage at a separation."""
 
-    impulse_Ns: NotNegative = optional("of retro-rockets or gas, forward on the next stage, N s", 0.0)
+    impulse_Ns: NotNegative = optional("forward impulse of retro-rockets or gas on the next stage, N s", 0.0)
     spring_J: NotNegative = optional("energy of the separation springs, J", 0.0)
     tip_off_degps: Triple = optional("initial rates of the next stage about x, y, z, deg/s", (0.0, 0.0, 0.0))
 
@@ -115,7 +113,7 @@ TvcLoads = Annotated[Annotated[TvcLoadSection, Tag(TABLE_FORM)] | Annotated[tupl
 
 
 class Stage(Section):
-    """A stage; its clock, for its tables, starts at the preceding separation.
+    """A stage. The clock of its tables starts at the preceding separation.
 
     The stage without its boosters is the core.
     """
@@ -123,29 +121,28 @@ class Stage(Section):
     name: str = optional("name of the stage in logs (default: its number)", "")
     separation_s: Period | None = optional("end of this stage on its clock, s")
     separation_after_burnout_s: Seconds | None = optional(
-        "end of this stage after burnout, s; if only boosters leave, after the burnout of the last of them"
+        "end of this stage after burnout, s; if only boosters leave, after the last burnout among them"
     )
-    separation: Separation | None = optional("springs, impulse and tip-off rates where this stage ends")
+    separation: Separation | None = optional("springs, impulse and tip-off rates at its end")
     cutoff_decay_s: Seconds = optional(
-        "time in which thrust falls linearly to zero after a cutoff by the guidance, which allows for it, s", 0.0
+        "duration of the linear thrust decay after a cutoff by the guidance, which allows for it, s", 0.0
     )
-    cutoff_decay_factor: NotNegative = optional("multiplies that time, unknown to the guidance", 1.0)
+    cutoff_decay_factor: NotNegative = optional("factor on cutoff_decay_s, unknown to the guidance", 1.0)
     continues: bool = optional(
-        "engines and tanks of the preceding stage remain, except those of boosters that leave: gimbal angles, liquid "
+        "engines and tanks of the preceding stage remain, except those of separated boosters; gimbal angles, liquid "
         "and modes keep their motion",
         False,
     )
     clock: Literal["own", "preceding"] = optional(
-        "preceding, with continues: tables over time and times of this stage are on the clock of the preceding stage",
-        "own",
+        "preceding, with continues: tables and times of this stage are on the clock of the preceding stage", "own"
     )
-    computer: StageComputer | None = optional("absent: the vehicle's computer as it is")
-    ignition_s: Seconds = optional("the engine is off before this time on the stage clock, s", 0.0)
+    computer: StageComputer | None = optional("absent: the vehicle's computer unchanged")
+    ignition_s: Seconds = optional("ignition on the stage clock, s", 0.0)
     interpolation: Literal["pchip", "linear"] = optional("interpolation of the tables over time", "pchip")
     mass: Mass
     engine: Engines | None = optional(f"one table, or up to {MAX_ENGINES} as a list [[...]]; absent: no thrust")
     actuator: Actuators | None = optional(
-        "one table, or a list [[...]] of one for each group of engines; absent: gimbal angle = command"
+        "one table, or a list [[...]] by group of engines; absent: gimbal angle = command"
     )
     tvc_load: TvcLoads | None = optional(
         "one table, or a list [[...]] by group; absent, or groups without one: engines follow their actuators exactly"
@@ -165,14 +162,14 @@ class Stage(Section):
 
     @property
     def sensors(self) -> tuple[RateGyro | Accelerometer, ...]:
-        """Return the rate gyros beyond the first, then the accelerometer."""
+        """Return the sensors in addition to the first gyro: the other rate gyros, then the accelerometer."""
         return (*self.rate_gyro, *((self.accelerometer,) if self.accelerometer is not None else ()))
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Return the numbers of parts that keep their state where a stage continues.
+        """Return the numbers of parts that keep their state when a stage continues.
 
-        The parts are groups of engines, pendulums, modes and TVC loads.
+        These are engine groups, pendulums, modes in pitch, in yaw and in space, and 1 for TVC loads.
         """
         bending, spatial = self.bending, self.spatial_modes
         planes = (bending.pitch_modes, bending.yaw_modes) if bending is not None else (None, None)
@@ -191,7 +188,7 @@ class Stage(Section):
 
     @property
     def gated(self) -> bool:
-        """Return True if thrust is zero outside the burn of each body, because others burn then."""
+        """Return True if thrust is set to zero outside the burn of each body, because another body may burn then."""
         return bool(self.booster) or self.clock == "preceding"
 
     @property
@@ -206,17 +203,17 @@ class Stage(Section):
 
     @property
     def engines(self) -> tuple[EngineSection, ...]:
-        """Return all engines, none without thrust: those of the core, then those of each booster."""
+        """Return all engines: those of the core, then those of each booster. An unpowered stage has none."""
         return (*self.own_engines, *(engine for booster in self.booster for engine in booster.engines))
 
     @property
     def engine_bodies(self) -> tuple[int, ...]:
-        """Return for each engine the number of its body in `bodies`."""
+        """Return, for each engine, the index of its body in `bodies`."""
         return tuple(b for b, body in enumerate(self.bodies) for _ in body.own_engines)
 
     @property
     def engine_masses(self) -> tuple[PointMass, ...]:
-        """Return the gimballed masses of all engines."""
+        """Return the gimballed masses of all engines, except those without mass."""
         out = []
         for b, e in zip(self.engine_bodies, self.engines, strict=True):
             attachments_m = self.booster[b - 1].attachments_m if b > 0 else ()
@@ -225,16 +222,17 @@ class Stage(Section):
 
     @property
     def tanks(self) -> tuple[tuple[int, str, Tank], ...]:
-        """Return all tanks with the numbers of their bodies and their names: those of the core first."""
+        """Return the body index, name and section of all tanks, those of the core first."""
         own = [(0, tank.name or str(n + 1), tank) for n, tank in enumerate(self.tank)]
         for b, booster in enumerate(self.booster, start=1):
             own += [(b, f"{booster.name}_{t.name or n + 1}", t) for n, t in enumerate(booster.tank)]
         return tuple(own)
 
     def mass_over_time(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return times of the stage clock (n,) and rows (n, 10), linear between the rows of the nominal tables.
+        """Return times (n,), s, and the vehicle's mass properties (n, 10), linear between the rows of nominal tables.
 
-        A row contains the vehicle's mass, CG station, y and z, and inertia integrals Ixx, Iyy, Izz, Ixy, Ixz, Iyz.
+        The times are on the clock of the tables, or on the stage clock if there are boosters. A row contains mass (kg),
+        CG station, y and z (m), and the inertia integrals Ixx, Iyy, Izz, Ixy, Ixz, Iyz (kg m2).
         """
         own = self.mass.rows(self.ignition_s)
         if not self.booster:
@@ -252,15 +250,12 @@ class Stage(Section):
 
     @property
     def engine_groups(self) -> tuple[str, ...]:
-        """Return the groups of engines that move together, at least one.
-
-        Their order is that in which the engines name them.
-        """
+        """Return the names of the groups of gimballed engines, at least one, in the order of the engines."""
         return tuple(dict.fromkeys(e.group for e in self.engines if e.gimbal != "fixed")) or ("",)
 
     @property
     def actuators(self) -> tuple[ActuatorSection, ...]:
-        """Return the actuators of each group of engines, in order; none where angles equal commands."""
+        """Return the actuators of each group of engines, in order; none if gimbal angles equal commands."""
         if not isinstance(self.actuator, tuple):
             return () if self.actuator is None else (self.actuator,) * len(self.engine_groups)
         by_group = {actuator.group or "": actuator for actuator in self.actuator}
@@ -274,20 +269,20 @@ class Stage(Section):
         return {} if self.tvc_load is None else dict.fromkeys(self.engine_groups, self.tvc_load)
 
     def engine_key(self, number: int) -> tuple[str | int, ...]:
-        """Return the key of an engine in the stage."""
+        """Return the key of an engine of `engines` within the stage."""
         b = self.engine_bodies[number]
         body, number = self.bodies[b], number - self.engine_bodies.index(b)
         key: tuple[str | int, ...] = ("booster", b - 1) if b > 0 else ()
         return (*key, "engine", number) if isinstance(body.engine, tuple) else (*key, "engine")
 
     def tank_key(self, number: int) -> tuple[str | int, ...]:
-        """Return the key of one of `tanks` in the stage."""
+        """Return the key of a tank of `tanks` within the stage."""
         bodies = [body for body, *_ in self.tanks]
         b, number = bodies[number], number - bodies.index(bodies[number])
         return ("booster", b - 1, "tank", number) if b > 0 else ("tank", number)
 
     def counted_key(self, key: str) -> str:
-        """Return a key path of the stage with engines and tanks of boosters counted behind those of the core."""
+        """Return a key path of the stage with engines and tanks of boosters numbered after the parts of the core."""
         found = _OF_BOOSTER.fullmatch(key)
         if found is None:
             return key
@@ -297,7 +292,7 @@ class Stage(Section):
 
     @model_validator(mode="after")
     def _modes_over_time(self) -> Stage:
-        """Convert tables of modes over mass to tables over time, by the stage's mass."""
+        """Convert mode tables over mass to tables over time by the mass of the stage, and check all parts."""
         changed: dict[str, Any] = {}
         for section, keys, arrays in (
             ("bending", ("pitch", "yaw"), mode_table),
@@ -380,7 +375,7 @@ class Stage(Section):
                 raise refuse("the stage has no aerodynamics", "[stage.aero]", ("booster", n, "aero"), value={})
 
     def mode_tables(self) -> list[tuple[str, ModeTable | SpatialModeTable]]:
-        """Return the tables of modes and their keys; a table for both planes appears once."""
+        """Return the keys and mode tables of the stage; a table for both planes appears once."""
         out: list[tuple[str, ModeTable | SpatialModeTable]] = []
         bending = self.bending
         if bending is not None:
@@ -405,7 +400,10 @@ class Stage(Section):
                 )
 
     def _check_groups(self, key: str, given: Any, *, all_of_them: bool) -> None:
-        """Check that a list has an entry for each group of engines; a single table serves all groups."""
+        """Check that each entry of a list is for another group of engines. A single table serves all groups.
+
+        With `all_of_them`, each group needs an entry.
+        """
         groups = self.engine_groups
         allowed = ", ".join(repr(group) for group in groups)
         if not isinstance(given, tuple):
@@ -424,7 +422,7 @@ class Stage(Section):
 
     @property
     def pendulum_names(self) -> tuple[str, ...]:
-        """Return the names of the flown slosh modes in the log, tank by tank."""
+        """Return the names of the simulated slosh modes in the log, tank by tank."""
         names = [(name, tank.pendulums) for _, name, tank in self.tanks]
         return tuple(name + ("" if mode == 0 else f"_{mode + 1}") for name, modes in names for mode in range(modes))
 
@@ -444,7 +442,7 @@ class Stage(Section):
                 raise refuse(problem, "[stage.tvc_load]", (*at, "stall_torque_Nm"), value=actuator.stall_torque_Nm)
 
     def _check_slosh_mass(self) -> None:
-        """Check that sloshing masses and gimballed engines are parts of the mass of their bodies."""
+        """Check that each body has more mass than its sloshing liquids and gimballed engines."""
         for b, body in enumerate(self.bodies):
             self._check_slosh_mass_of(body, ("booster", b - 1) if b > 0 else ())
 
@@ -459,7 +457,7 @@ class Stage(Section):
             total = (body.mass.mass_kg or 0.0) - flow * np.clip(times, 0.0, burn)
         moving = np.zeros(len(times))
         for factor, table in zip((tank.mass_factor for tank in body.tank), tables, strict=True):
-            of_liquid = "liquid_mass_kg" in table  # with a shape the whole liquid, which is more than the sloshing mass
+            of_liquid = "liquid_mass_kg" in table  # with a shape: the whole liquid, above the sloshing mass
             mass = table["liquid_mass_kg"] if of_liquid else table["slosh_mass_kg"] + table.get(SECOND_MODE[0])
             moving += factor * np.interp(times, table["time_s"], mass)
         if (moving >= total).any():
@@ -478,7 +476,7 @@ class Stage(Section):
             )
 
     def _check_stations(self) -> None:
-        """Check that the mode shapes reach every station at which loads or sensors act."""
+        """Check that the mode shapes include every station with a load or a sensor."""
         needed: list[tuple[tuple[str | int, ...], float]] = []
         for n, engine in enumerate(self.own_engines):
             needed.append(((*self.engine_key(n), "gimbal_station_m"), engine.gimbal_station_m))
@@ -514,7 +512,7 @@ class Stage(Section):
 
 
 class Vehicle(Section):
-    """The vehicle, a file vehicle.toml."""
+    """The vehicle, given by a file vehicle.toml."""
 
     schema_version: Literal[1] = optional("version of the format", 1, alias="schema")
     name: str = optional("name of the vehicle", "")
@@ -561,7 +559,7 @@ class Vehicle(Section):
         leave = self.stage[n - 1].leaving(stage) if n > 0 else ()
         mine, kept = list(stage.counts), list(self.stage[n - 1].without(leave).counts) if n > 0 else []
         if leave:
-            mine[2:5] = kept[2:5]  # modes of another configuration
+            mine[2:5] = kept[2:5]  # the modes belong to another configuration
             if stage.clock == "own":
                 problem = "boosters leave, and the core burns on"
                 raise refuse(problem, '"preceding"', ("stage", n, "clock"), value=stage.clock)
@@ -582,7 +580,7 @@ class Vehicle(Section):
             raise refuse(problem, allowed, ("stage", n, "computer", "delay_s"), value=own.delay_s)
 
     def computer_of(self, number: int) -> ComputerSection | None:
-        """Return the computer while a stage flies, counted from 0."""
+        """Return the computer of stage `number`, counted from 0; None if the vehicle has none."""
         own = self.stage[number].computer
         if self.computer is None or own is None:
             return self.computer

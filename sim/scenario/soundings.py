@@ -1,17 +1,17 @@
-"""Wind soundings in the formats of weather services, read where a wind profile is named.
+"""The reader of wind soundings in the formats of weather services, which any key for a wind profile accepts.
 
 The format is detected from the content:
-- University of Wyoming: the text list (also within its HTML page) and the CSV file;
-- IGRA version 2 (NOAA/NCEI): the station files of fixed-width records, with one sounding or thousands;
-- CSV whose column names carry other units than those of maxq: `height_ft`, `pressure_hPa`, `speed_kt`,
-  `wind direction_degree`, `u_mps` ...; further columns are ignored.
+- University of Wyoming: the text list (also inside its HTML page) and the CSV file.
+- IGRA version 2 (NOAA/NCEI): station files of fixed-width records, with one or more soundings.
+- CSV with column names in units other than those of maxq: `height_ft`, `pressure_hPa`, `speed_kt`,
+  `wind direction_degree`, `u_mps` and others. Unknown columns are ignored.
 
-The result has the columns altitude_m, north_mps, east_mps, and the date. The date comes from the heads of IGRA and
-Wyoming files, or in CSV from a line `# date: 2002-11-28` or the first row. Rows may be in any order. Levels without
-wind are omitted, and the first of several levels at one altitude is kept. Geopotential heights are converted to
-geometric ones (r0 = 6356.766 km). The height of a level without one follows from its pressure, linearly in ln p between
-levels that have both. If no level has a height, the pressures of the US Standard Atmosphere 1976 are used, which in
-real air may be wrong by some hundreds of metres.
+The result has the columns altitude_m, north_mps and east_mps, and a date. The date is read from the headers of IGRA and
+Wyoming files. In CSV, it is read from a line `# date: 2002-11-28` or from the first row. Rows may be in any order.
+Levels without wind are omitted, and the first of several levels at one altitude is kept. Geopotential heights are
+converted to geometric heights (r0 = 6356.766 km). A missing height is interpolated in ln p between levels with both
+height and pressure. If fewer than two levels have both, it follows from the pressure by the US Standard Atmosphere
+1976, with an error of up to some hundreds of metres in real air.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NUMBER_MARK = "#"  # "station.txt#12": the twelfth sounding of a file
 
 
 class SoundingLevel(NamedTuple):
-    """A row of a sounding; nan: missing. `speed` and `direction`, or `north` and `east`, m/s and deg."""
+    """A row of a sounding; missing values are nan. The wind is given by speed and direction, or by components."""
 
     line: int
     geopotential_m: float = math.nan
@@ -46,7 +46,7 @@ class SoundingLevel(NamedTuple):
     east_mps: float = math.nan
 
 
-# quantity: the field of Level, its names, and the units that it may have
+# by field of SoundingLevel: its names in files, and the factors of its units
 _LENGTHS = {"m": 1.0, "gpm": 1.0, "ft": 0.3048, "km": 1000.0}
 _SPEEDS = {
     "m/s": 1.0, "mps": 1.0, "kt": 1852.0 / 3600.0, "kts": 1852.0 / 3600.0, "knot": 1852.0 / 3600.0,
@@ -73,9 +73,9 @@ _WYOMING = re.compile(r"\bPRES\b.*\bHGHT\b.*\bDRCT\b.*\b(SKNT|SPED)\b")
 
 
 def quantity(name: str, shown: str = "") -> tuple[str, float] | None:
-    """Return the field of `SoundingLevel` that a column of the file `shown` holds, and the factor to its unit.
+    """Return the field of `SoundingLevel` in the column `name` of the file `shown`, and the factor to its unit.
 
-    Raises PydanticCustomError if the column is known and its unit is not.
+    The result is None for an unknown column. Raises PydanticCustomError if the column is known but its unit is not.
     """
     whole = name.strip().lower()
     found = re.fullmatch(r"(.+?)[ _]?[_(\[]([^_()\[\]]+)[)\]]?", whole)
@@ -92,13 +92,13 @@ def quantity(name: str, shown: str = "") -> tuple[str, float] | None:
 
 class Sounding(NamedTuple):
     levels: list[SoundingLevel]
-    date: str  # as `CsvTable.date`
+    date: str  # in the form of `CsvTable.date`
 
 
 def soundings(text: str, native: Iterable[str] = (), shown: str = "") -> list[Sounding]:
     """Return all soundings in the text of the file `shown`.
 
-    A file of another kind, or with `native` columns only, has none.
+    The result is empty for a file of another kind, and for a CSV file with `native` columns only.
     """
     lines = text.splitlines()
     first = next((line for line in lines if line.strip()), "")
@@ -110,13 +110,13 @@ def soundings(text: str, native: Iterable[str] = (), shown: str = "") -> list[So
 
 
 def date_of(text: str) -> str:
-    """Return the date that a comment of a CSV file states, or an empty string without one."""
+    """Return the date in a comment of a CSV file, or an empty string if there is none."""
     found = re.search(rf"^#\s*date\s*[:=]?\s*({DATE})", text, re.MULTILINE | re.IGNORECASE)
     return found[1] if found else ""
 
 
 def _igra(lines: Sequence[str]) -> Iterator[Sounding]:
-    """Read the fixed columns of IGRA version 2: pressure Pa, geopotential height m, direction deg, speed 0.1 m/s."""
+    """Yield the soundings of an IGRA 2 file: pressure in Pa, geopotential height in m, wind in deg and 0.1 m/s."""
     levels, date = list[SoundingLevel](), ""
     for number, line in enumerate(lines, start=1):
         if line.startswith("#"):
@@ -132,7 +132,7 @@ def _igra(lines: Sequence[str]) -> Iterator[Sounding]:
 
 
 def _wyoming(lines: Sequence[str]) -> Iterator[Sounding]:
-    """Read the columns of Wyoming, whose cells end where the words of the head end: an empty cell is missing."""
+    """Yield the soundings of a Wyoming file, in which each cell ends below the end of its column name."""
     levels, date, coming = list[SoundingLevel](), "", ""
     cells: list[tuple[str, float, int, int]] = []
     for number, line in enumerate(re.sub(r"<[^>]*>", "", line).rstrip() for line in lines):
@@ -161,7 +161,7 @@ def _wyoming(lines: Sequence[str]) -> Iterator[Sounding]:
 
 
 def _csv(lines: Sequence[str], native: frozenset[str], shown: str) -> list[Sounding]:
-    """Read a table with a line of names; return nothing if no column holds wind, or if all columns are native ones."""
+    """Return the sounding of a CSV table, or an empty list if it has no wind or only native columns."""
     rows = [(n, line.split(",")) for n, line in enumerate(lines, start=1) if line.strip() and not line.startswith("#")]
     if not rows:
         return []
@@ -190,7 +190,7 @@ def _csv(lines: Sequence[str], native: frozenset[str], shown: str) -> list[Sound
 
 
 def _value(cell: str) -> float:
-    """Return a number, or nan if it is missing: empty, not a number, or one of the codes -999, -8888, -9999, 99999."""
+    """Return the number in a cell, or nan if it is missing: no number, -999 or less, or 99999."""
     try:
         value = float(cell)
     except ValueError:
@@ -199,7 +199,7 @@ def _value(cell: str) -> float:
 
 
 def wind_table(levels: Iterable[SoundingLevel], name: str, shown: str, date: str = "") -> CsvTable:
-    """Return the wind profile of a sounding. Raises PydanticCustomError if no level has height and wind."""
+    """Return the wind profile of a sounding. Raises PydanticCustomError if no level has both height and wind."""
     rows = np.array(list(levels), dtype=float).reshape(-1, len(SoundingLevel._fields))
     line, geopotential, altitude, pressure, direction, speed, north, east = rows.T
     altitude = np.where(np.isnan(altitude), _geometric(geopotential), altitude)
@@ -222,10 +222,10 @@ def _geometric(geopotential_m: np.ndarray) -> np.ndarray:
 
 
 def _from_pressure(altitude_m: np.ndarray, pressure_hPa: np.ndarray) -> np.ndarray:
-    """Return the altitude by pressure.
+    """Return the geometric altitude (levels,), m, for each pressure.
 
-    It is interpolated between the levels with both, or follows from the standard atmosphere if fewer than two have
-    both.
+    It is interpolated in ln p between the levels with altitude and pressure. If fewer than two levels have both, it is
+    that of the standard atmosphere.
     """
     both = np.isfinite(altitude_m) & (pressure_hPa > 0.0)
     pressed = np.where(pressure_hPa > 0.0, pressure_hPa, math.nan)
@@ -239,7 +239,7 @@ def _from_pressure(altitude_m: np.ndarray, pressure_hPa: np.ndarray) -> np.ndarr
 
 
 def _profile(name: Text, reading: Reading, columns: Columns) -> CsvTable:
-    """Return the profile of a sounding or of a CSV file, which may state its date."""
+    """Return the wind profile that `name` denotes: a sounding, or a CSV file with native columns."""
     file, number = _parted(name)
     shown, text, found = _read(file, reading, columns)
     if not found:
@@ -256,9 +256,9 @@ SOUNDING = Foreign("a sounding", _profile)
 
 
 def each_sounding(value: Any, context: Any, columns: Columns) -> Any:
-    """Return the profiles that a list denotes.
+    """Return the names of the profiles that a list denotes; a value that is no list is returned unchanged.
 
-    A folder denotes its files in the order of their names, and a file denotes each of its soundings.
+    A folder stands for its files in the order of their names, and a file for each of its soundings.
     """
     if not isinstance(value, Sequence) or not isinstance(context, Reading):
         return value
@@ -276,7 +276,7 @@ def each_sounding(value: Any, context: Any, columns: Columns) -> Any:
 
 
 def _read(file: Text, reading: Reading, columns: Columns) -> tuple[str, str, list[Sounding]]:
-    """Return the displayed name of a file, its text, and its soundings, which are looked for once."""
+    """Return the displayed name of a file, its text, and its soundings, which are parsed once."""
     shown, text = reading.read_table(file)
     if shown not in reading.soundings:
         reading.soundings[shown] = soundings(text, columns.known(), shown)
@@ -284,7 +284,7 @@ def _read(file: Text, reading: Reading, columns: Columns) -> tuple[str, str, lis
 
 
 def _parted(name: Text) -> tuple[Text, int | None]:
-    """Return file and number of "file#12"."""
+    """Return the file and the number in "file#12"; the number is None without a mark."""
     file, mark, number = name.rpartition(NUMBER_MARK)
     if not mark or not number.isdecimal():
         return name, None

@@ -1,6 +1,8 @@
-"""The upgrade of files from an earlier version of their format to the present one; sections name the changed keys.
+"""The upgrade of files from an earlier version of their format to the present version.
 
-text, changes = upgraded_text(Path("old.toml").read_text(), Design, Source("old.toml"))
+The sections of the schema define the changed keys:
+
+    text, changes = upgraded_text(Path("old.toml").read_text(), Design, Source("old.toml"))
 """
 
 from __future__ import annotations
@@ -20,9 +22,9 @@ VERSION = "schema_version"
 
 
 def upgraded(given: dict[str, Any], section: type[Section], source: Source) -> tuple[dict[str, Any], list[str]]:
-    """Return a document of a section with the present names of its keys, and a line on each change.
+    """Return a section's document with the present names of its keys, and a line for each change.
 
-    Raises ScenarioError, about `source`, if an old key and the present one both exist.
+    Raises ScenarioError for `source` if an old key and its present name both exist.
     """
     changes: list[str] = []
     out = _upgraded(given, section, source, (), changes)
@@ -67,7 +69,7 @@ def _upgraded(
 
 
 def _below(section: type[Section] | None, key: str) -> type[Section] | None:
-    """Return the section that a key holds, also for the key of the changes of a part; None if it holds none."""
+    """Return the section of a key or of a key `<part>_overrides`; None if it has no section."""
     if section is None:
         return None
     fields = {field.alias or name: field for name, field in section.model_fields.items()}
@@ -76,7 +78,7 @@ def _below(section: type[Section] | None, key: str) -> type[Section] | None:
 
 
 def _present_paths(old: list[Any], section: type[Section], where: str, changes: list[str]) -> list[Any]:
-    """Return the paths of keys in a list `unset` with their present names, without those that are obsolete."""
+    """Return the key paths of a list `unset` with their present names, without obsolete keys."""
     out = []
     for path in old:
         new = _present_path(path, section) if isinstance(path, str) else path
@@ -87,7 +89,7 @@ def _present_paths(old: list[Any], section: type[Section], where: str, changes: 
 
 
 def _present_path(path: str, section: type[Section]) -> str:
-    """Return the present form of a path of keys, e.g. "limits.higher_modes_db"; empty if a key is obsolete."""
+    """Return the present form of a key path such as "limits.higher_modes_db"; empty if a key is obsolete."""
     parts, at = list[str](), section or None
     for part in path.split("."):
         new = part if at is None else at.renamed.get(part, part)
@@ -99,15 +101,15 @@ def _present_path(path: str, section: type[Section]) -> str:
 
 
 def newest_version(section: type[Section]) -> int:
-    """Return the version of the format of a kind of file."""
+    """Return the present format version of the files described by a section; 0 if they have no version."""
     return int(get_args(section.model_fields[VERSION].annotation)[0]) if VERSION in section.model_fields else 0
 
 
 def upgraded_text(text: str, section: type[Section], source: Source) -> tuple[str, list[str]]:
-    """Return the text of a file in the present version of its format, and a line on each change.
+    """Return the text of a file in the present version of its format, and a line for each change.
 
-    Comments and layout are kept, unless a search for the names of keys does not find them. Then the document is written
-    again without its comments, and the last line reports this. Raises ScenarioError.
+    Comments and layout are kept if replacing the names of keys in the text gives the upgraded document. Otherwise, the
+    document is written again without comments, and the last line reports this. Raises ScenarioError.
     """
     old = parse(text, source)
     wanted, changes = upgraded(old, section, source)
@@ -115,7 +117,7 @@ def upgraded_text(text: str, section: type[Section], source: Source) -> tuple[st
         return text, changes
     names = dict(_renamed(section, set()))
     obsolete = _any_of(name for name, new in names.items() if not new)
-    kept = re.sub(rf"^[ \t]*(?:[\w-]+\.)*{obsolete}\s*=.*\n?", "", text, flags=re.MULTILINE)  # on lines of their own
+    kept = re.sub(rf"^[ \t]*(?:[\w-]+\.)*{obsolete}\s*=.*\n?", "", text, flags=re.MULTILINE)  # on separate lines
     kept = re.sub(rf"(?<=[{{,])\s*{obsolete}\s*=[^,}}\n]*(?:,|(?=\}}))", "", kept)  # in tables on one line
     kept = re.sub(rf"""(["'])(?:[\w-]+\.)*{obsolete}\1\s*,?\s*""", "", kept)  # in `unset`
     in_paths = re.compile(rf"""(?<=["'.]){_any_of(names)}(?=(?:\.[\w-]+)*["'])""")
@@ -144,12 +146,12 @@ def upgraded_text(text: str, section: type[Section], source: Source) -> tuple[st
 
 
 def _any_of(names: Iterable[str]) -> str:
-    """Return a regular expression of one of some names."""
+    """Return a regular expression that matches any of the names."""
     return f"(?:{'|'.join(map(re.escape, names)) or '(?!)'})"
 
 
 def _renamed(section: type[Section], known: set[type[Section]]) -> Iterator[tuple[str, str]]:
-    """Yield the old and the present names of keys of a section, and of the sections in it."""
+    """Yield the old and present names of the renamed keys of a section and of all sections below it."""
     if section in known:
         return
     known.add(section)

@@ -55,10 +55,10 @@ class DryMass(Between):
     """A dry mass on a thin ring, spread evenly between two stations."""
 
     name: str = Field(description="name of the part")
-    mass_kg: Positive = Field(description="kg")
-    radius_m: Positive | None = optional("of the ring, m (default: the radius of its stage)")
+    mass_kg: Positive = Field(description="mass, kg")
+    radius_m: Positive | None = optional("radius of the ring, m (default: that of its stage)")
     gyration_m: Pair | None = optional(
-        "radii of gyration of its cross-section about the axis and across it, m (default: those of the ring)"
+        "radii of gyration of its cross-section about and across the axis, m (default: those of the ring)"
     )
 
 
@@ -66,12 +66,12 @@ class Shell(Between):
     """A section of the load-carrying structure: its bending stiffness, and its mass if no part includes it."""
 
     EI_Nm2: Positive | None = optional("bending stiffness, N m2")
-    rear_EI_Nm2: Positive | None = optional("at the aft end, linear between, N m2 (default: EI_Nm2)")
-    radius_m: Positive | None = optional("of a thin wall, m (default: the radius of its stage)")
-    wall_m: Positive | None = optional("of that wall, m: EI = pi E r^3 t")
-    modulus_Pa: Positive | None = optional("Young's modulus of that wall, Pa")
-    strength_Pa: Positive | None = optional("allowable stress: with modulus_Pa the limit of section loads, Pa")
-    density_kgpm3: NotNegative = optional("density of that wall, kg/m3; 0: its mass is in the parts", 0.0)
+    rear_EI_Nm2: Positive | None = optional("bending stiffness at the aft end, linear between, N m2 (default: EI_Nm2)")
+    radius_m: Positive | None = optional("radius of a thin wall, m (default: that of its stage)")
+    wall_m: Positive | None = optional("thickness of the wall, m: EI = pi E r^3 t")
+    modulus_Pa: Positive | None = optional("Young's modulus of the wall, Pa")
+    strength_Pa: Positive | None = optional("allowable stress, Pa; with modulus_Pa it limits section loads")
+    density_kgpm3: NotNegative = optional("density of the wall, kg/m3; 0: its mass is in the parts", 0.0)
 
     def _check(self) -> None:
         wall = self.wall_m is not None and self.modulus_Pa is not None
@@ -91,14 +91,14 @@ class LayoutTank(Section):
 
     name: values.ChannelPart = Field(description="name of the tank in logs")
     liquid_mass_kg: Positive = Field(description="propellant at liftoff, kg")
-    residual_kg: NotNegative = optional("of it left at burnout, kg", 0.0)
-    density_kgpm3: Positive = Field(description="of the propellant, kg/m3")
-    radius_m: Positive = Field(description="inside, m")
-    height_m: Positive = Field(description="inside, domes included, m")
+    residual_kg: NotNegative = optional("propellant left at burnout, kg", 0.0)
+    density_kgpm3: Positive = Field(description="density of the propellant, kg/m3")
+    radius_m: Positive = Field(description="inner radius, m")
+    height_m: Positive = Field(description="inner height, domes included, m")
     dome_m: Pair = optional("heights of half-ellipsoidal domes, bottom and top, m; 0: flat", (0.0, 0.0))
     bottom_station_m: float = Field(description="aft end, m aft of the nose")
     position_m: Pair = optional(
-        "its axis, y and z from that of the stage or booster, m; liquids off the axis balance each other", (0.0, 0.0)
+        "y and z of its axis from that of the stage or booster, m; liquids off the axis balance each other", (0.0, 0.0)
     )
     damping_ratio: Fraction = optional("damping ratio of the slosh mode; 0.01 to 0.03 with ring baffles", 0.01)
     roll_share: Fraction = optional("share of the liquid's solid-body roll inertia that turns with the walls", 0.0)
@@ -116,13 +116,13 @@ class LayoutTank(Section):
 class Grain(Between):
     """A solid propellant grain, which does not slosh. All grains of a stage burn in proportion to their mass."""
 
-    mass_kg: Positive = Field(description="kg")
-    radius_m: Positive | None = optional("outside, m (default: the radius of its stage)")
+    mass_kg: Positive = Field(description="mass, kg")
+    radius_m: Positive | None = optional("outer radius, m (default: that of its stage)")
     burns: Literal["uniform", "port", "end"] = optional(
         "uniform: the density decreases; port: from a cylindrical port outwards; end: from the aft face forward",
         "uniform",
     )
-    port_radius_m: Positive | None = optional("of the port at ignition, m (default: none)")
+    port_radius_m: Positive | None = optional("radius of the port at ignition, m (default: none)")
 
     def _check(self) -> None:
         super()._check()
@@ -153,7 +153,9 @@ def check_grains(grains: tuple[Grain, ...], radius_m: float) -> None:
 class LoadSections(Section):
     """The stations of section loads (switches.section_loads)."""
 
-    stations_m: tuple[float, ...] = Field(min_length=1, max_length=MAX_LOAD_STATIONS, description="m aft of the nose")
+    stations_m: tuple[float, ...] = Field(
+        min_length=1, max_length=MAX_LOAD_STATIONS, description="stations, m aft of the nose"
+    )
     axial_force: Annotated[CsvTable, SHARE_COLUMNS] | None = optional("as in a vehicle file")
 
 
@@ -163,28 +165,28 @@ _STACKED = ("upper", "middle", "lower")  # names of groups by the sign of z, whi
 class LayoutThrust(Section):
     """Equal engines: their thrust, places and masses."""
 
-    positions_m: tuple[Pair, ...] = optional("of each engine's gimbal, y and z, m", ((0.0, 0.0),), min_length=1)
+    positions_m: tuple[Pair, ...] = optional("y and z of each gimbal, m", ((0.0, 0.0),), min_length=1)
     thrust: Annotated[CsvTable, LAYOUT_THRUST_COLUMNS] | None = optional(
-        "thrust of each over time from ignition, CSV or a RASP file (.eng): instead of thrust_vacuum_N and ramps. The "
-        "flow is in proportion to mass_flow_kgps, to thrust over isp_vacuum_s, or without these columns to thrust; in "
-        "all it is the propellant"
+        "thrust of each over time from ignition, CSV or a RASP file (.eng), instead of thrust_vacuum_N and ramps. The "
+        "flow is proportional to mass_flow_kgps, to thrust / isp_vacuum_s, or without these columns to thrust; its "
+        "integral is the propellant"
     )
-    thrust_vacuum_N: Positive | None = optional("of each, N")
+    thrust_vacuum_N: Positive | None = optional("vacuum thrust of each, N")
     isp_vacuum_s: Positive | None = optional("specific impulse in vacuum, s; with thrust, only compared with it")
     temperature_sensitivity_1pK: NotNegative = optional(
-        "of a solid motor's burn rate and thrust at constant total impulse, 1/K; 0.001 to 0.004", 0.0
+        "sensitivity of a solid motor's burn rate and thrust at constant total impulse, 1/K; 0.001 to 0.004", 0.0
     )
     roll_arm_m: float = optional("roll torque of the exhaust of each per newton of thrust, m", 0.0)
-    exit_area_m2: NotNegative = optional("nozzle exit of each, m2", 0.0)
-    gimbal_station_m: float = Field(description="of the gimbals, m aft of the nose: the end of the beam")
-    exit_station_m: float = Field(description="of the nozzle exits, m aft of the nose")
-    mass_kg: Positive = Field(description="of each, kg; between gimbal and exit")
-    rear_station_m: float | None = optional("end of that mass, m aft of the nose (default: exit_station_m)")
+    exit_area_m2: NotNegative = optional("nozzle exit area of each, m2", 0.0)
+    gimbal_station_m: float = Field(description="station of the gimbals, m aft of the nose: end of the beam")
+    exit_station_m: float = Field(description="station of the nozzle exits, m aft of the nose")
+    mass_kg: Positive = Field(description="mass of each, kg, between gimbal and exit")
+    rear_station_m: float | None = optional("aft end of this mass, m aft of the nose (default: exit_station_m)")
     thrust_end_share: Annotated[float, Field(gt=0.0, le=1.5)] = optional(
         "thrust at the end of the burn relative to its beginning, with linear decrease (a pressure-fed chamber)", 1.0
     )
-    ramp_s: Positive = optional("from ignition to full thrust, s", 0.3)
-    tail_off_s: Positive = optional("from full thrust to none, s", 0.3)
+    ramp_s: Positive = optional("time from ignition to full thrust, s", 0.3)
+    tail_off_s: Positive = optional("time from full thrust to none, s", 0.3)
 
     def _check(self) -> None:
         self.at_most_one("thrust", "thrust_vacuum_N")
@@ -202,13 +204,13 @@ class LayoutThrust(Section):
 class LayoutEngines(LayoutThrust):
     """The engines of a stage, all equal. Several engines form groups to the left and right of the axis, and on it."""
 
-    gimballed_mass_kg: NotNegative | None = optional("mass that moves, kg (default: 0.8 of mass_kg)")
-    cg_from_gimbal_m: NotNegative | None = optional("of that mass aft of the gimbal, m (default: 0.3 of the length)")
-    inertia_about_gimbal_kgm2: Positive | None = optional("of that mass (default: of a rod from gimbal to exit)")
-    angle_limit_deg: Positive = optional("of the gimbal, deg", 6.0)
-    rate_limit_degps: Positive = optional("of the gimbal, deg/s", 30.0)
-    servo_hz: tuple[Positive, ...] = optional("natural frequencies of the actuator, one, two or four, Hz", (7.0,))
-    servo_zeta: tuple[Positive, ...] = optional("its damping ratios", (0.7,))
+    gimballed_mass_kg: NotNegative | None = optional("gimballed mass of each, kg (default: 0.8 of mass_kg)")
+    cg_from_gimbal_m: NotNegative | None = optional("its CG aft of the gimbal, m (default: 0.3 of the length)")
+    inertia_about_gimbal_kgm2: Positive | None = optional("its inertia, kg m2 (default: a rod from gimbal to exit)")
+    angle_limit_deg: Positive = optional("gimbal angle limit, deg", 6.0)
+    rate_limit_degps: Positive = optional("gimbal rate limit, deg/s", 30.0)
+    servo_hz: tuple[Positive, ...] = optional("one, two or four natural frequencies of the actuator, Hz", (7.0,))
+    servo_zeta: tuple[Positive, ...] = optional("damping ratios of the actuator", (0.7,))
     tvc_load: TvcLoadSection | None = optional(
         "compliance, flexible bearing and friction of each, as in a vehicle file (absent: the engine follows its "
         "actuators)"
@@ -248,33 +250,33 @@ class LayoutFins(Section):
     """A set of fins with trapezoidal planform."""
 
     count: Annotated[int, Field(ge=3, le=8)] = optional("number of fins", 4)
-    root_chord_m: Positive = Field(description="at the body's wall, m")
-    tip_chord_m: NotNegative = Field(description="at the tip, m")
-    semispan_m: Positive = Field(description="from the body's wall, m")
-    leading_edge_station_m: float = Field(description="of the root, m aft of the nose")
-    sweep_m: NotNegative = optional("tip's leading edge aft of the root's, m", 0.0)
+    root_chord_m: Positive = Field(description="chord at the body's wall, m")
+    tip_chord_m: NotNegative = Field(description="chord at the tip, m")
+    semispan_m: Positive = Field(description="semispan from the body's wall, m")
+    leading_edge_station_m: float = Field(description="leading edge of the root, m aft of the nose")
+    sweep_m: NotNegative = optional("leading edge of the tip aft of the root's, m", 0.0)
 
 
 class LayoutBooster(Between):
     """Equal boosters attached to the core of a stage, rigid bodies."""
 
-    name: values.ChannelPart = Field(description="name of the booster; several have a number behind it")
-    positions_m: tuple[Pair, ...] = Field(min_length=1, description="axis of each, y and z from the body axis, m")
+    name: values.ChannelPart = Field(description="name of the booster; several are numbered")
+    positions_m: tuple[Pair, ...] = Field(min_length=1, description="y and z of each axis from the body axis, m")
     attachments_m: tuple[float, ...] = Field(
         min_length=1,
         max_length=2,
-        description="stations of the core that carry it: one section that clamps it, or two that hold its ends; the "
-        "first carries its axial load",
+        description="stations of the core that carry it: one that clamps it, or two that hold its ends; the first "
+        "carries its axial load",
     )
-    diameter_m: Positive = Field(description="m")
-    nose_length_m: Positive | None = optional("of its nose, m (default: twice its diameter)")
+    diameter_m: Positive = Field(description="diameter, m")
+    nose_length_m: Positive | None = optional("length of its nose, m (default: twice its diameter)")
     part: tuple[DryMass, ...] = optional("dry parts without engines", ())
     tank: tuple[LayoutTank, ...] = optional("tanks with liquid propellant", (), max_length=MAX_PENDULUMS)
     grain: tuple[Grain, ...] = optional("solid propellant", ())
     engine: LayoutNozzles
     axial_factor: NotNegative = optional("factor on the assumed axial force coefficient", 1.0)
-    ignition_after_s: values.Seconds = optional("after the beginning of the clock of the stage, s", 0.0)
-    separation_after_s: values.Seconds = optional("from burnout to separation, s", 1.0)
+    ignition_after_s: values.Seconds = optional("ignition on the stage clock, s", 0.0)
+    separation_after_s: values.Seconds = optional("time from burnout to separation, s", 1.0)
 
     @property
     def shell(self) -> tuple[Shell, ...]:
@@ -309,7 +311,7 @@ class LayoutStage(Between):
     """A stage and its extent in the vehicle."""
 
     name: values.ChannelPart = Field(description="name of the stage")
-    diameter_m: Positive = Field(description="m")
+    diameter_m: Positive = Field(description="diameter, m")
     part: tuple[DryMass, ...] = optional("dry parts without engines", ())
     shell: tuple[Shell, ...] = Field(min_length=1, description="structure from the front to the rear of the stage")
     tank: tuple[LayoutTank, ...] = optional("tanks with liquid propellant", (), max_length=MAX_PENDULUMS)
@@ -319,16 +321,16 @@ class LayoutStage(Between):
     fins: LayoutFins | None = optional("absent: none")
     aero: AeroSection | None = optional("as in a vehicle file, instead of computed values (CSV, DATCOM's for006)")
     bending: BendingSection | None = optional("as in a vehicle file, instead of the beam's modes")
-    spatial_modes: SpatialModesSection | None = optional("likewise (CSV, NASTRAN's op2 or f06)")
+    spatial_modes: SpatialModesSection | None = optional("as in a vehicle file (CSV, NASTRAN's op2 or f06)")
     loads: LoadSections | None = optional("absent: no section loads")
     modes: Annotated[int, Field(ge=0, le=8)] = optional("bending modes of the beam", 3)
     bending_damping: Fraction = optional("damping ratio of all modes", 0.005)
-    roll_torque_Nm: Positive | None = optional("of roll thrusters, N m (default: what turns by 5 deg/s2 at ignition)")
+    roll_torque_Nm: Positive | None = optional("torque of roll thrusters, N m (default: for 5 deg/s2 at ignition)")
     turn_torque_Nm: Positive | None = optional(
-        "of thrusters in pitch and yaw, which turn the last stage before a restart, N m (default: by 0.5 deg/s2)"
+        "torque in pitch and yaw that turns the last stage before a restart, N m (default: for 0.5 deg/s2)"
     )
-    separation_after_s: values.Seconds = optional("from burnout to separation, s", 1.0)
-    ignition_after_s: values.Seconds = optional("from separation of the stage before to ignition, s", 2.0)
+    separation_after_s: values.Seconds = optional("time from burnout to separation, s", 1.0)
+    ignition_after_s: values.Seconds = optional("time from the preceding separation to ignition, s", 2.0)
 
     @property
     def usable_kg(self) -> float:
@@ -357,9 +359,9 @@ class LayoutStage(Between):
 class LayoutSite(Section):
     """The launch site."""
 
-    latitude_deg: values.Latitude = Field(description="geodetic, deg")
-    longitude_deg: values.Longitude = Field(description="east, deg")
-    altitude_m: float = optional("above the ellipsoid, m", 0.0)
+    latitude_deg: values.Latitude = Field(description="geodetic latitude, deg")
+    longitude_deg: values.Longitude = Field(description="longitude, deg east")
+    altitude_m: float = optional("height above the ellipsoid, m", 0.0)
     azimuth_deg: values.Angle | None = optional(
         "launch azimuth, deg from north (default: from trajectory.inclination_deg)"
     )
@@ -369,8 +371,8 @@ class LayoutSite(Section):
 class Fairing(Between):
     """The fairing, dropped while an upper stage burns. Its shell is part of the last stage's structure."""
 
-    mass_kg: Positive = Field(description="kg")
-    jettison_altitude_m: Positive = optional("dropped when a stage burns above this altitude, m", 110e3)
+    mass_kg: Positive = Field(description="mass, kg")
+    jettison_altitude_m: Positive = optional("altitude above which it is dropped when a stage burns, m", 110e3)
 
 
 class Trajectory(Section):
@@ -379,11 +381,11 @@ class Trajectory(Section):
     pitch_over_start_s: Positive = optional("end of the vertical rise, s after ignition", 5.0)
     pitch_over_s: Positive = optional("duration of the pitch-over, s", 12.0)
     final_path_angle_deg: Annotated[float, Field(gt=-30.0, lt=85.0)] = optional(
-        "of the path above the local horizon at the last burnout, deg: sets the pitch-over", 20.0
+        "path angle above the local horizon at the last burnout, deg: sets the pitch-over", 20.0
     )
     orbit_altitude_m: Annotated[float, Field(ge=100e3, le=2e6)] | None = optional(
-        "of the last burnout above the Earth's equatorial radius, path level there: the perigee of an orbit, if the "
-        "speed suffices; instead of final_path_angle_deg"
+        "altitude of the last burnout above the equatorial radius, with a level path: the perigee of an orbit if the "
+        "speed is sufficient; instead of final_path_angle_deg"
     )
     apogee_altitude_m: Annotated[float, Field(ge=100e3, le=1e8)] | None = optional(
         "apogee above the equatorial radius of an orbit with perigee at orbit_altitude_m, reached by closed-loop "
@@ -418,13 +420,13 @@ class Control(Section):
     """The flight computer, gyro and first gains."""
 
     sample_s: values.Period = optional("sample period, s", 0.01)
-    delay_s: values.Seconds = optional("from sample to command, s", 0.003)
+    delay_s: values.Seconds = optional("delay from sample to command, s", 0.003)
     gyro_station_m: float = Field(description="station of the rate gyros, m aft of the nose; in the last stage")
     accelerometer_station_m: float | None = optional(
         "station of a lateral accelerometer for load relief, in the last stage (default: none)"
     )
-    gyro_hz: Positive = optional("natural frequency, Hz; of the accelerometer as well", 60.0)
-    gyro_zeta: Positive = optional("damping ratio", 0.7)
+    gyro_hz: Positive = optional("natural frequency of gyros and accelerometer, Hz", 60.0)
+    gyro_zeta: Positive = optional("their damping ratio", 0.7)
     rigid_hz: Positive | None = optional(
         "rigid-body frequency of the first gains, Hz (default: at each instant an eighth of mode 1 and of the "
         "actuator and half of the slowest slosh mode, at most 0.4)"
@@ -439,13 +441,15 @@ class Layout(Section):
     name: str = optional("name of the vehicle", "")
     description: str = optional("description, one sentence", "")
     nose: Literal["ogive", "cone"] = optional("shape of the nose", "ogive")
-    nose_length_m: Positive = Field(description="m")
+    nose_length_m: Positive = Field(description="length of the nose, m")
     axial_factor: Positive = optional("factor on the assumed axial force coefficient", 1.0)
     site: LayoutSite
     trajectory: Trajectory = Trajectory()
     control: Control
     fairing: Fairing | None = optional("absent: none, or never dropped")
-    stage: tuple[LayoutStage, ...] = Field(min_length=1, max_length=MAX_STAGES, description="in the order of flight")
+    stage: tuple[LayoutStage, ...] = Field(
+        min_length=1, max_length=MAX_STAGES, description="stages in the order of flight"
+    )
 
     @property
     def azimuth_deg(self) -> float:

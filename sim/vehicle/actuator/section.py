@@ -20,25 +20,25 @@ class ActuatorAxis(Section):
     """The actuator of one axis."""
 
     model: Literal["second-order", "fourth-order", "sixth-order"] = optional(
-        "poles: servo; servo and a second pair; servo and two pairs with a pair of zeros (paper, eq. 28)", "sixth-order"
+        "pole pairs: servo; servo and one; servo and two, with a pair of zeros (paper, eq. 28)", "sixth-order"
     )
     omega_hz: tuple[Positive, ...] = Field(
-        description="natural frequencies, Hz: servo a1, from the fourth order a2, in the sixth a3 and the zero a4"
+        description="natural frequencies, Hz: servo a1, with fourth order a2, with sixth order a3 and zero pair a4"
     )
     zeta: tuple[Positive, ...] = Field(description="damping ratios in the same order")
     exchange_a3_a4: bool = optional("exchange pole pair a3 and zero pair a4 (erratum 13)", False)
     angle_limit_deg: GimbalAngle = Field(description="limit of the gimbal angle, deg")
     rate_limit_degps: Positive = Field(description="limit of the gimbal rate, deg/s")
     limits_act_on: Literal["servo", "engine"] = optional(
-        "servo: the other poles follow it, and the engine can exceed both limits; engine: the other poles precede it, "
-        "and the engine's rate stays within its limit",
+        "servo: the other poles follow the servo, and the engine can exceed both limits; engine: they precede the "
+        "servo, and the engine's rate is limited",
         "servo",
     )
     stop_deg: GimbalAngle | None = optional("hard stop of the gimbal angle, deg (default: none)")
     backlash_deg: NotNegative = optional("full width of the play between actuator and engine, deg", 0.0)
     stall_torque_Nm: Positive | None = optional(
-        "torque of one engine about its gimbal that stops its actuator, N m; a larger one drives it back; needs a TVC "
-        "load (default: none)"
+        "torque of an engine about its gimbal that stops the actuator, N m; a larger torque drives it back; needs a "
+        "TVC load (default: none)"
     )
 
     def _check(self) -> None:
@@ -65,10 +65,10 @@ class YawActuator(Section):
 
 
 class ActuatorSection(ActuatorAxis):
-    """The actuators of both axes, equal unless `yaw` differs; for all groups of engines, or in a list by group."""
+    """The actuators of both axes, equal except for the keys in `yaw`; for all groups of engines, or a list by group."""
 
-    group: ChannelPart | None = optional("in a list: name of the group of engines that it moves")
-    bias_deg: Pair = optional("constant error of the angle, pitch and yaw, deg", (0.0, 0.0))
+    group: ChannelPart | None = optional("in a list: name of the group of engines")
+    bias_deg: Pair = optional("constant error of the angle in pitch and yaw, deg", (0.0, 0.0))
     yaw: YawActuator | None = optional("keys that differ in the yaw axis")
 
     def _check(self) -> None:

@@ -50,7 +50,7 @@ class AeroSurface(Section):
 
     name: str = optional("name of the part", "")
     table: Annotated[CsvTable, SURFACE_COLUMNS] = Field(
-        description="normal force slope (1/rad) and its station over Mach number"
+        description="normal force slope (1/rad) and its station, over Mach number"
     )
 
 
@@ -59,9 +59,9 @@ class Coefficients(Section):
 
     name: str = optional("name of the table", "")
     table: Annotated[CsvTable, COEFFICIENT_COLUMNS] = Field(
-        description="one row for each combination of up to three of: mach; total_deg, the angle between x axis and "
-        "flow, with roll_deg, atan2(v, w), or alpha_deg = atan2(w, u) and beta_deg = asin(v/V); outside it the end "
-        "values hold. Forces CA = -CX, CY, CN = -CZ, or drag CD and lift CL (rotated by the angle of attack); moments "
+        description="a row for each combination of up to three of: mach; total_deg, the angle between x axis and "
+        "flow, with roll_deg, atan2(v, w), or alpha_deg = atan2(w, u) and beta_deg = asin(v/V); end values hold "
+        "outside. Forces CA = -CX, CY, CN = -CZ, or drag CD and lift CL (rotated by the angle of attack); moments "
         "Cl, Cm, Cn (span, chord, yaw chord) about the moment reference; Clp ... CNq per p span/2V, q chord/2V, r yaw "
         "chord/2V"
     )
@@ -69,7 +69,7 @@ class Coefficients(Section):
         "axes of forces and moments; aeroballistic: CN and Cm in the plane of the total angle of attack, CY and Cn "
         "across it (default with total_deg, else body)"
     )
-    power: Literal["always", "on", "off"] = optional("on: acts while the engine burns; off: otherwise", "always")
+    power: Literal["always", "on", "off"] = optional("on: with burning engine; off: without", "always")
     interpolation: Literal["linear", "pchip"] | None = optional(
         "multilinear, or with continuous slopes in all variables (default: that of [stage.aero])"
     )
@@ -143,17 +143,17 @@ class AeroSection(Section):
         "moment reference over the stage clock, m aft of the nose, instead of moment_reference_m"
     )
     moment_reference_over_mass: Annotated[CsvTable, REFERENCE_OVER_MASS] | None = optional(
-        "the same over the vehicle's total mass"
+        "moment reference over the vehicle's total mass"
     )
-    airspeed_floor_mps: NotNegative = optional("below this airspeed there are no aerodynamic forces, m/s", 0.0)
+    airspeed_floor_mps: NotNegative = optional("airspeed below which aerodynamic forces are zero, m/s", 0.0)
     crossflow_station_m: float | None = optional(
         "station of the cross-flow drag, m aft of the nose (default: half the length)"
     )
-    force_factor: NotNegative = optional("multiplies normal force and cross-flow drag", 1.0)
-    axial_factor: NotNegative = optional("multiplies axial force and drag (CA, CD)", 1.0)
-    damping_factor: NotNegative = optional("multiplies the damping by body rates (Cmq, Cnr, Clp)", 1.0)
-    centre_shift_m: float = optional("moves the centre of every lifting part aft, m", 0.0)
-    rate_reference: Literal["inertial", "earth"] = optional("body rates that damp", "inertial")
+    force_factor: NotNegative = optional("factor on normal force and cross-flow drag", 1.0)
+    axial_factor: NotNegative = optional("factor on axial force and drag (CA, CD)", 1.0)
+    damping_factor: NotNegative = optional("factor on damping by body rates (Cmq, Cnr, Clp)", 1.0)
+    centre_shift_m: float = optional("aft shift of every lifting part's centre, m", 0.0)
+    rate_reference: Literal["inertial", "earth"] = optional("reference of the damped body rates", "inertial")
     surface: tuple[AeroSurface, ...] = optional(
         "lifting parts; their sum is CN_alpha if the table has none", (), max_length=MAX_SURFACES
     )

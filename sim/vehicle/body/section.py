@@ -36,17 +36,17 @@ class Mass(Section):
         "whole vehicle with frozen liquid, inertia about its CG, over the stage clock; x_cg_m is the station aft of "
         "the nose, y and z are body axes; products of inertia are integrals, Ixz = int x z dm"
     )
-    mass_kg: Positive | None = optional("constant mass (at ignition, when it is expelled), kg")
+    mass_kg: Positive | None = optional("constant mass, or mass at ignition with mass_flow_kgps, kg")
     x_cg_m: float | None = optional("station of the CG aft of the nose, m")
     y_cg_m: float | None = optional("CG in body y, m (default 0)")
     z_cg_m: float | None = optional("CG in body z, m (default 0)")
     inertia_kgm2: ThreeRows | None = optional(
-        "inertia tensor about the CG in B, kg m2: minus the products off the diagonal"
+        "inertia tensor about the CG in B, with negative products off the diagonal, kg m2"
     )
     mass_flow_kgps: NotNegative | None = optional("mass expelled per second, kg/s (default 0)")
     burn_s: NotNegative | None = optional("duration of the mass flow, s")
     rate_damping: Annotated[CsvTable, RATE_DAMPING_COLUMNS] | None = optional(
-        "damping moment per body rate about x, y and z, N m s/rad, over the stage clock; negative: it drives the rate"
+        "damping moment per body rate about x, y and z, N m s/rad, over the stage clock; negative: destabilising"
     )
 
     def _check(self) -> None:

@@ -55,16 +55,16 @@ class EngineSection(Section):
     cg_from_gimbal_m: float = optional("CG of the gimballed mass aft of the gimbal, m", 0.0)
     inertia_about_gimbal_kgm2: NotNegative = optional("transverse inertia about the gimbal, kg m2", 0.0)
     misalignment_deg: Pair = optional("fixed angle of the thrust axis, pitch and yaw, deg", (0.0, 0.0))
-    offset_m: Pair = optional("of the gimbal from the body axis, y and z, m", (0.0, 0.0))
-    thrust_factor: NotNegative = optional("multiplies thrust", 1.0)
-    mass_flow_factor: Positive = optional("burn rate: speeds up the stage's tables over time", 1.0)
+    offset_m: Pair = optional("y and z of the gimbal from the body axis, m", (0.0, 0.0))
+    thrust_factor: NotNegative = optional("factor on thrust", 1.0)
+    mass_flow_factor: Positive = optional("burn rate: rate of the clock of the stage's tables", 1.0)
     temperature_sensitivity_1pK: NotNegative = optional(
-        "pi_K of a solid motor, 1/K: multiplies mass_flow_factor by exp(pi_K (propellant_temperature_K - "
-        "reference_temperature_K))",
+        "pi_K of a solid motor, 1/K, with the factor exp(pi_K (propellant_temperature_K - reference_temperature_K)) "
+        "on mass_flow_factor",
         0.0,
     )
     propellant_temperature_K: Positive = optional("mean temperature of the propellant, K", 294.15)
-    reference_temperature_K: Positive = optional("temperature of the table of thrust, K", 294.15)
+    reference_temperature_K: Positive = optional("propellant temperature of the thrust table, K", 294.15)
     roll_arm_m: float = optional("torque of the exhaust about the axis of the engine per newton of thrust, m", 0.0)
 
     @property

@@ -55,7 +55,7 @@ class LoadsSection(Section):
         description="stations, ascending, m aft of the nose, up to the gimbal",
     )
     line_mass: Annotated[CsvTable, LINE_MASS_COLUMNS] = Field(
-        description="all masses but the liquid, with the engine: uniform between two stations, or points"
+        description="all masses except the liquid, including the engine: uniform between two stations, or points"
     )
     liquid: tuple[Liquid, ...] = optional("liquids of all tanks, sloshing or not", (), max_length=MAX_PENDULUMS)
     limits: Annotated[CsvTable, LIMIT_COLUMNS] | None = optional(
@@ -69,8 +69,8 @@ class LoadsSection(Section):
     period_s: Period = optional("time between evaluations for the extremes, s, whole ns", 0.002)
     coast: bool = optional("also record extremes without thrust", False)
     tolerance: Fraction = optional(
-        "largest difference between these masses and the stage's: of the mass, of the CG over the length and of the "
-        "transverse radius of gyration, relative; a campaign draws a vehicle beyond it again",
+        "largest relative difference between these masses and the stage's: mass, CG / length, transverse radius of "
+        "gyration; a campaign draws other vehicles again",
         0.05,
     )
 

@@ -30,7 +30,7 @@ class BendingSection(Section):
     """The free-free bending modes, with the engine locked and without slosh masses."""
 
     pitch: Annotated[CsvTable, MODE_COLUMNS] | None = optional(
-        "modes of the pitch plane, one row per time (or total mass), mode and station (default: none)"
+        "modes of the pitch plane, a row for each time (or total mass), mode and station (default: none)"
     )
     yaw: Annotated[CsvTable, MODE_COLUMNS] | None = optional(
         "modes of the yaw plane; may be the same file (default: none)"
@@ -39,13 +39,13 @@ class BendingSection(Section):
         max_length=MAX_MODES, description="damping ratio of each mode in both planes"
     )
     frequency_factor: tuple[Positive, ...] = Field(
-        default_factory=_ones, description="multiplies the frequency of each mode (default ones)"
+        default_factory=_ones, description="factor on the frequency of each mode (default: 1)"
     )
     gyro_slope_factor: tuple[float, ...] = Field(
-        default_factory=_ones, description="multiplies the slope of each mode at the gyro (default ones)"
+        default_factory=_ones, description="factor on the slope of each mode at the gyro (default: 1)"
     )
     gimbal_shape_factor: tuple[float, ...] = Field(
-        default_factory=_ones, description="multiplies displacement and slope of each mode at the gimbal (default ones)"
+        default_factory=_ones, description="factor on displacement and slope of each mode at the gimbal (default: 1)"
     )
 
     def _check(self) -> None:
@@ -71,19 +71,18 @@ class SpatialModesSection(Section):
     """The coupled three-dimensional free-free modes, in addition to planar modes; engine locked, no slosh masses."""
 
     table: Annotated[CsvTable, SPATIAL_COLUMNS] = Field(
-        description="one row per time (or total mass), mode and station: displacement phi along, rotation theta about "
-        "x, y, z; mass_kg and roll_inertia_kgm2 are lumped at the stations; or a NASTRAN file (op2, f06)"
+        description="a row for each time (or total mass), mode and station: displacement phi along and rotation theta "
+        "about x, y, z; mass_kg and roll_inertia_kgm2 lumped at the stations; or a NASTRAN file (op2, f06)"
     )
-    damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="of each mode")
+    damping_ratio: tuple[Fraction, ...] = Field(max_length=MAX_MODES, description="damping ratio of each mode")
     frequency_factor: tuple[Positive, ...] = Field(
-        default_factory=_ones, description="multiplies the frequency of each mode (default ones)"
+        default_factory=_ones, description="factor on the frequency of each mode (default: 1)"
     )
     gyro_slope_factor: tuple[float, ...] = Field(
-        default_factory=_ones, description="multiplies the rotation of each mode at the gyro (default ones)"
+        default_factory=_ones, description="factor on the rotation of each mode at the gyro (default: 1)"
     )
     gimbal_shape_factor: tuple[float, ...] = Field(
-        default_factory=_ones,
-        description="multiplies displacement and rotation of each mode at the gimbal (default ones)",
+        default_factory=_ones, description="factor on displacement and rotation of each mode at the gimbal (default: 1)"
     )
 
     def _check(self) -> None:

@@ -399,8 +399,8 @@ class SloshRow(NamedTuple):
 
     slosh_tank_pitch_deg: Annotated[float, "deg", "pendulum angle in the pitch plane"]
     slosh_tank_yaw_deg: Annotated[float, "deg", "pendulum angle in the yaw plane"]
-    slosh_tank_pitch_rate_degps: Annotated[float, "deg/s", "rate of that angle in the pitch plane"]
-    slosh_tank_yaw_rate_degps: Annotated[float, "deg/s", "rate of that angle in the yaw plane"]
+    slosh_tank_pitch_rate_degps: Annotated[float, "deg/s", "pendulum rate in the pitch plane"]
+    slosh_tank_yaw_rate_degps: Annotated[float, "deg/s", "pendulum rate in the yaw plane"]
     slosh_tank_tension_N: Annotated[float, "N", "tension of the pendulum rod"]
 
 

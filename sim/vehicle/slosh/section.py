@@ -92,31 +92,29 @@ class Tank(Section):
         description="over the stage clock: the pendulum, and that of the second mode in columns ..._2_...; or the "
         "liquid's mass, from which `shape` gives the pendulums. The stage's table of mass includes it"
     )
-    position_m: Pair = optional(
-        "axis of the tank, y and z from the axis of the body that carries it (core or booster), m", (0.0, 0.0)
-    )
+    position_m: Pair = optional("y and z of the tank's axis from the axis of its body (core or booster), m", (0.0, 0.0))
     damping_ratio: Fraction = optional(
         "damping ratio of the pendulum in small waves (default 0 with viscosity_m2ps or baffles)", 0.0
     )
     second_damping_ratio: Fraction | None = optional(
         "damping ratio of the second mode's pendulum (default: as damping_ratio)"
     )
-    damping_factor: NotNegative = optional("multiplies all damping: pendulums, smooth walls and baffles", 1.0)
-    viscosity_m2ps: Positive | None = optional("kinematic viscosity, m2/s: adds the damping of a smooth wall")
-    baffles: Baffles | None = optional("ring baffles: their damping of the first mode grows with the wave")
-    mass_factor: NotNegative = optional("multiplies the slosh mass; the vehicle's mass is unchanged", 1.0)
+    damping_factor: NotNegative = optional("factor on all damping: pendulums, smooth walls and baffles", 1.0)
+    viscosity_m2ps: Positive | None = optional("kinematic viscosity, m2/s, which adds the damping of a smooth wall")
+    baffles: Baffles | None = optional("ring baffles, whose damping of the first mode increases with the wave")
+    mass_factor: NotNegative = optional("factor on the slosh mass; the vehicle's mass is unchanged", 1.0)
     length_factor: Positive = optional(
-        "multiplies the pendulum's length; its frequency is proportional to 1/sqrt of it", 1.0
+        "factor on the pendulum's length; the frequency is proportional to 1 / sqrt(length)", 1.0
     )
     shape: Literal["cylinder", "sphere", "ellipsoid"] | None = optional("shape of the tank, upright")
-    radius_m: Positive | None = optional("radius of the tank, m; without a shape: of an upright cylinder")
+    radius_m: Positive | None = optional("radius of the tank, m; without a shape: an upright cylinder")
     bottom_station_m: float | None = optional("aft end of the tank, m aft of the nose")
     height_m: Positive | None = optional("inner height of a cylinder (domes included) or an ellipsoid, m")
     dome_m: Pair | None = optional("heights of a cylinder's half-ellipsoidal domes, bottom and top, m; 0: flat")
     density_kgpm3: Positive | None = optional("density of the liquid, kg/m3")
     modes: Literal[1, 2] | None = optional("number of lateral slosh modes of a shape (default 1)")
     breaking_height_m: Positive | None = optional(
-        "wave height that counts as breaking, m (default: where the surface falls with the axial load)"
+        "height of a breaking wave, m (default: where the surface falls with the axial load)"
     )
 
     @property
