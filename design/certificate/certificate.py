@@ -20,7 +20,7 @@ from maxq.design.loop.loop import loops
 from maxq.design.margins.measure import Margins, margins
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
-from maxq.design.model.node_times import node_times
+from maxq.design.model.node_times import MEASURED_EDGES, node_times
 from maxq.sim.scenario.loader import LoadedScenario
 
 PLANES: tuple[Plane, ...] = ("pitch", "yaw")
@@ -144,7 +144,7 @@ def certify(
     change the result. `one` certifies an operating point, by default `certify_node`. `along` is the scenario whose
     flight provides speed and air at the operating points, by default the same scenario.
     """
-    times = node_times(along or loaded) if times_s is None else tuple(times_s)
+    times = node_times(along or loaded, edges=MEASURED_EDGES) if times_s is None else tuple(times_s)
     found = [operating_points.nodes(along or loaded, times, plane=plane) for plane in planes]
     with ThreadPoolExecutor(max_workers=workers) as pool:
         return list(pool.map(partial(one or certify_node, loaded), itertools.chain(*zip(*found, strict=True))))

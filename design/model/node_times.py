@@ -24,7 +24,8 @@ from maxq.sim.vehicle.engine.burn import Burn, stage_burns, when_spent_s
 
 NODES_PER_STAGE = 11
 FULL = 0.5  # fraction of a stage's largest thrust at the ends of full thrust
-EDGES = 0.05, 0.02  # fractions of a span at its ends without operating points
+EDGES = 0.005, 0.015  # fractions of a span at its ends without operating points
+MEASURED_EDGES = 0.05, 0.02  # those of a certificate, which needs thrust before and after a point
 JOINT = 0.002  # largest such fraction at a separation (boosters, fairing) through which the stage continues to burn
 LONG_TAIL_S = 1.0  # shortest tail-off with operating points
 LEAST_SHARE = 0.1  # fraction of the largest thrust at the last operating point of a tail-off

@@ -21,7 +21,7 @@ from maxq.design.certificate.measured_only import MeasuredNode, measure_node
 from maxq.design.loop.loop import law_at
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
-from maxq.design.model.node_times import EDGES, node_times
+from maxq.design.model.node_times import MEASURED_EDGES, node_times
 from maxq.design.model.powered import powered_spans
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify import linear
@@ -86,7 +86,7 @@ class Parts:
         """Return the times of a part's operating points, from the suite or suited to the flight."""
         if part.times_s is not None:
             return part.times_s
-        edges = part.edges if isinstance(part, LinearMargins) else EDGES
+        edges = part.edges if isinstance(part, LinearMargins) else MEASURED_EDGES
         times = partial(node_times, self.along, part.nodes_per_stage, edges=edges)
         return self.memory.recall("times", (self.along.as_flown, part.nodes_per_stage, edges), times)
 
