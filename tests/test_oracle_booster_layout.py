@@ -107,6 +107,7 @@ def test_masses_at_liftoff_are_sums_of_the_layout(built: Built) -> None:
     both, alone = first.mass_properties(0.0), first.core_properties(0.0)
     assert alone.mass_kg == pytest.approx(core + upper + 450.0, rel=1e-12)
     assert both.mass_kg == pytest.approx(alone.mass_kg + 2.0 * booster, rel=1e-12)
+    assert ["fixed nozzles" in line for line in built.assumed if line.startswith("core with solid: ")] == [True]
     one = first.boosters[0].mass_properties(0.0)
     assert both.roll_kgm2 - alone.roll_kgm2 == pytest.approx(2.0 * (one.roll_kgm2 + booster * 2.05**2), rel=1e-12)
     assert first.leave_s == second.begins_s == pytest.approx(first.boosters[0].burn.end_s + 3.0)
@@ -202,6 +203,7 @@ def test_gimballed_boosters_steer_with_the_core(tmp_path: Path) -> None:
     core = layout.stage[0].model_copy(update={"booster": (moving,)})
     turn = layout.trajectory.model_copy(update={"orbit_altitude_m": None, "final_path_angle_deg": 15.0})
     built = build(layout.model_copy(update={"stage": (core, *layout.stage[1:]), "trajectory": turn}))
+    assert ["fixed nozzles" in line for line in built.assumed if line.startswith("core with solid: ")] == [False]
     write(built, tmp_path)
     loaded = load_scenario(tmp_path / "scenario.toml")
     both, alone = loaded.vehicle.stage[:2]

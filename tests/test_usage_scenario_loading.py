@@ -258,6 +258,7 @@ def test_an_appended_stage_finds_its_tables_beside_its_file(ascent: Path) -> Non
             "append.run.duration_s: the extended file has no list",
         ),
         ('extends = "ascent"\n[[append.run]]\nstep_s = 1.0\n', "append.run: the extended file has no list there"),
+        ('extends = "ascent"\n[append.vehicle]\nstage = []\n', "append.vehicle: the extended file has no table there"),
         (
             'extends = "ascent"\n[[append.requirement]]\nmetric = "range_m"\nmost = 1.0\n',
             "append.requirement.0.most = 1.0: unknown key",

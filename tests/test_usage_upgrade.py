@@ -163,6 +163,13 @@ def test_keys_in_quotes_cost_the_comments(capsys: Printed) -> None:
 
 
 OLD_PATHS = {
+    "append": (
+        'extends = "designs/ksr3-default"\n[[append.stage]]\nlimits = { phase_margin_deg = 31.0 }  # mine\n'
+        "[[append.gains.table]]\ntime_s = 60.0\n",
+        'extends = "designs/ksr3-default"\n[[append.stage]]\nbasis.limits = { phase_margin_deg = 31.0 }  # mine\n'
+        "[[append.gains.table]]\ntime_s = 60.0\n",
+        ["append.stage.0.limits is now basis.limits"],
+    ),
     "unset": (
         'extends = "ksr3-robust"  # mine\nunset = [\n    "limits.higher_modes_db",  # of modes 3 and above\n'
         '    \'robust.limits.higher_modes_db\', "objective.band", "search.seed",\n]\n',

@@ -153,11 +153,12 @@ def append(base: TomlTable, more: TomlTable, at: KeyPath = ()) -> None:
         if isinstance(value, TomlTable) and isinstance(below, TomlTable):
             append(below, value, path)
             continue
-        if not isinstance(value, TomlArray):
+        if not isinstance(value, TomlTable | TomlArray):
             raise shown.error(shown.within, "is no list", value=value, allowed="a list, or [[...]]")
-        if not isinstance(below, TomlArray):
+        if not isinstance(value, TomlArray) or not isinstance(below, TomlArray):
+            what = "list" if isinstance(value, TomlArray) else "table"
             raise shown.error(
-                shown.within, "the extended file has no list there", allowed=f"{'.'.join(map(str, path))} itself"
+                shown.within, f"the extended file has no {what} there", allowed=f"{'.'.join(map(str, path))} itself"
             )
         for k, item in enumerate(value):
             element = replace(source, within=(*shown.within, len(below)), shown_as=(*shown.shown_as, k))

@@ -49,6 +49,8 @@ def _upgraded(
             changes.append(f"{where} is now {section.renamed[key]}")
         elif key == "unset" and isinstance(value, list):
             value = _present_paths(value, section, where, changes)  # noqa: PLW2901  # the value to be put
+        elif key == "append" and isinstance(value, dict):  # its lists have the keys of the section itself
+            value = _upgraded(value, section, source, here, changes)  # noqa: PLW2901  # likewise
         elif below is not None and isinstance(value, dict):
             value = _upgraded(value, below, source, here, changes)  # noqa: PLW2901  # likewise
         elif below is not None and isinstance(value, list):

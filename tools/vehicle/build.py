@@ -21,7 +21,7 @@ from maxq.sim.vehicle.slosh.shapes import modes_over
 from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.vehicle.aerodynamics import Aerodynamics, aerodynamics
 from maxq.tools.vehicle.beam import Beam, BeamMode, RigidLoad
-from maxq.tools.vehicle.layout import Layout, LayoutStage, LayoutTank
+from maxq.tools.vehicle.layout import Layout, LayoutStage, LayoutTank, steered_boosters
 from maxq.tools.vehicle.masses import Rod, Stack, burn_of, engine_inertia, stacks
 from maxq.tools.vehicle.trajectory import Ascent, TrajectoryPoint, ascent
 
@@ -321,7 +321,8 @@ def _assumed(built: Built) -> list[str]:
     lines.append(f"limit wind of the suite: from the west, {jet}; replace it by that of your site")
     for stack in built.stacks:
         if stack.leave_s is not None:
-            words = "rigid, fixed nozzles; their normal and axial forces add to those of the core without interference"
+            words = "; their normal and axial forces add to those of the core without interference"
+            words = ("rigid" if steered_boosters(stack.stage) else "rigid, fixed nozzles") + words
             lines.append(f"{stack.name}: until {stack.leave_s:.1f} s; {words}")
     if layout.fairing is not None:
         dropped = [n for n, stack in enumerate(built.stacks) if stack.drops_fairing]
