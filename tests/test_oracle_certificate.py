@@ -47,6 +47,17 @@ def loop(held) -> Loop:
     return maxq.loops([held.node], held.loaded.design)[0]
 
 
+def test_a_held_flight_has_no_navigation_errors(held) -> None:
+    errors = "navigation.alignment_error_deg=[0.0,2.0,-1.0]"
+    loaded = load_scenario("nominal", ["vehicle.computer.attitude=quaternion", errors])
+    run = hold(loaded, held.node).run(1.0, ())
+    while not run.finished:
+        run.fly_segment()
+    after = run.present()
+    for axis in ("pitch", "yaw"):
+        assert abs(after[f"error_{axis}_deg"]) < 1e-3
+
+
 def test_held_flight_keeps_speed_mass_and_gains(held) -> None:
     run = held.run(60.0, ())
     run.fly_segment()  # the gains are read at the first tick

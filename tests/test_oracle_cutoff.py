@@ -139,6 +139,26 @@ def test_thrust_decays_after_a_cutoff_that_allows_for_it(factor: float) -> None:
     np.testing.assert_allclose(speed, wanted, atol=1e-6)
 
 
+@pytest.mark.parametrize("decay_s", [0.0, 0.2])
+def test_thrust_decays_beyond_the_burnout_and_does_not_return_after_a_separation(decay_s: float) -> None:
+    """From 100 m/s to 104 m/s in 0.2 s; with the decay the cutoff is at 0.1 s, and the propellant would end at 0.22 s.
+
+    At 0.25 s a stage begins whose thrust would decay within 2 s.
+    """
+    ends = {"table": {"time_s": [0.0, 0.22, 0.221], "thrust_vacuum_N": [THRUST_N, THRUST_N, 0.0]}}
+    first = merged(CONSTANT, {"engine": ends if decay_s > 0.0 else {}})
+    first |= {"cutoff_decay_s": decay_s, "separation_s": 0.35 if decay_s > 0.0 else 0.25}
+    changes: Tree = {
+        "initial": {"euler_deg": [0.0, 0.0, 0.0], "ned_mps": [100.0, 0.0, 0.0]},
+        "guidance": {"cutoff": {"inertial_speed_mps": 104.0}},
+        "vehicle": {"stage": [first, CONSTANT | {"continues": True, "clock": "preceding", "cutoff_decay_s": 2.0}]},
+        "run": {"duration_s": 0.5, "step_s": 0.01},
+    }
+    flight = fly(load(merged(SPACE, changes)))
+    assert flight["v_I_x_mps"][-1] == pytest.approx(104.0, abs=1e-6)
+    assert flight.metrics["cutoff_inertial_speed_mps"] == pytest.approx(104.0, abs=1e-6)
+
+
 def test_rail_exit_speed_of_constant_thrust() -> None:
     """v^2 = 2 L (F / m - g sin(elevation)); the rail holds the attitude against a side force and a torque."""
     length, elevation, azimuth = 6.0, 75.0, 30.0

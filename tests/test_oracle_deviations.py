@@ -7,6 +7,7 @@ at the clock of the node.
 from __future__ import annotations
 
 import dataclasses
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import law_at
 from maxq.design.margins.dispersed import ManyLoops
 from maxq.design.margins.many import DONE, HANDED_BACK
+from maxq.design.model.deviations import UNREAD as UNREAD_KEYS
 from maxq.design.model.deviations import acting_at, deviations_of
 from maxq.design.model.dispersion import Dispersion, deviated, stacked
 from maxq.design.model.held import hold_stage
@@ -259,6 +261,11 @@ def own(tmp_path: Path) -> Path:
     path = tmp_path / "own.toml"
     path.write_text(OWN)
     return path
+
+
+@pytest.mark.parametrize("key", ["actuator.stall_torque_Nm", "actuator.1.yaw.stall_torque_Nm", "cutoff_decay_factor"])
+def test_margins_depend_on_no_stall_and_no_cutoff(key: str) -> None:
+    assert UNREAD_KEYS.fullmatch(re.sub(r"\.\d+", ".#", key))
 
 
 def test_deviations_that_go_together_and_those_that_are_not_followed(own: Path) -> None:

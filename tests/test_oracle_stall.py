@@ -137,6 +137,8 @@ def test_unlike_engines_resist_their_common_actuators_together(axis: int) -> Non
 def test_a_stall_torque_needs_a_load() -> None:
     made = scenario_of(Parts())
     stage = made["vehicle"]["stage"][0]
-    stage["actuator"] = stage["actuator"] | {"stall_torque_Nm": 1e4}
-    with pytest.raises(ScenarioError, match=r"actuator.stall_torque_Nm.*follows its actuator at any torque"):
-        rig(made)
+    given = stage["actuator"]
+    for stalls, key in (({"stall_torque_Nm": 1e4}, ""), ({"yaw": {"stall_torque_Nm": 1e4}}, "yaw.")):
+        stage["actuator"] = given | stalls
+        with pytest.raises(ScenarioError, match=rf"actuator.{key}stall_torque_Nm = 10000.*follows its actuator at any"):
+            rig(made)

@@ -217,6 +217,7 @@ def test_all_that_is_shipped_is_within_the_ranges(tmp_path: Path, monkeypatch: p
 def test_ranges_of_names() -> None:
     assert range_of("mass_kg").least == 1e-6
     assert range_of("slosh_mass_kg").least == 0.0
+    assert (range_of("position_error_m").most, range_of("position_m").most) == (1e6, 1e3)
     assert range_of("k_d_s").most == 1e4
     assert range_of("first_order_zero_hz").most == 1e6
     assert range_of("equatorial_radius_m").most == 1e9

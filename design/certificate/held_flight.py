@@ -255,6 +255,7 @@ def _stillness(scenario: Scenario, node: Node, load_mps2: float) -> dict[str, ob
             ned_mps=(0.0, 0.0, -air.airspeed_mps),
         ),
         "guidance": Guidance(),
+        "navigation": None,
         "injection": (),
         "fault": (),
         "requirement": (),

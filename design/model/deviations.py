@@ -92,7 +92,8 @@ RULES = {
 }
 """The rules by key of a stage, without the number of a single engine or actuator. # represents a number."""
 UNREAD = re.compile(
-    r"engine(\.#)?\.(misalignment_deg\.#|roll_arm_m)|actuator(\.#)?(\.yaw)?\.(rate_limit_degps|angle_limit_deg|stop_deg|backlash_deg|bias_deg\.#)"
+    r"engine(\.#)?\.(misalignment_deg\.#|roll_arm_m)|actuator(\.#)?(\.yaw)?\.(rate_limit_degps|angle_limit_deg|stop_deg|stall_torque_Nm"
+    r"|backlash_deg|bias_deg\.#)|cutoff_decay_(s|factor)"
     r"|gyro\.(bias_degph|scale_factor|misalignment_deg)\.#|gyro\.noise_deg_rt_h|computer\.command_limit_deg"
     r"|mass\.table\.I(xy|xz|yz)_kgm2"
 )

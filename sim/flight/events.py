@@ -104,13 +104,16 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
         restart(memory)
     advance_schedule(p, pool, memory)
     changed = 0
-    cut_off, burnout_ns = 0 < clock.cut_off_ns <= now - p.timeline.decay_ns, p.timeline.burnout_ns + clock.idle_ns
+    burnout_ns = p.timeline.burnout_ns + clock.idle_ns
+    cut_off = 0 < clock.cut_off_ns <= now
     if p.timeline.decay_ns > 0 and clock.cut_off_ns == now:
         clock.fresh = 1
     if held.burning == 0 and p.timeline.burn_start_ns <= now < burnout_ns and not cut_off:
         held.burning = 1
         changed = 1
-    if held.burning == 1 and (now >= burnout_ns or cut_off):
+    if cut_off:  # thrust decays without flow, hence beyond the burnout
+        burnout_ns = clock.cut_off_ns + p.timeline.decay_ns
+    if held.burning == 1 and now >= burnout_ns:
         burn_out(p, memory, y)
         changed = 1
     if held.on_pad == 1 and now >= p.timeline.release_ns:

@@ -79,11 +79,12 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
     clock.interval = find_interval(pool, p.vehicle.schedule, step.schedule_clock(p, memory.clock, now, 0.0))
     clock.fresh, clock.next_break_ns = 1, now
     memory.faults.next_ns = now if p.faults.count > 0 else NEVER
-    cut_off = 0 < clock.cut_off_ns <= now - p.timeline.decay_ns
-    burns = p.timeline.burn_start_ns <= now < p.timeline.burnout_ns + clock.idle_ns and not cut_off
+    cut_off = clock.cut_off_ns > 0 and clock.stage_burnout_ns[clock.stage - 1] >= 0
+    ends_ns = NEVER if 0 < clock.cut_off_ns <= now else p.timeline.burnout_ns + clock.idle_ns
+    burns = p.timeline.burn_start_ns <= now < ends_ns and not cut_off
     memory.held.burning = 1 if burns else 0
     if cut_off:  # cutoff in an earlier stage, of which a part has been dropped; the gimbals remain centred
-        clock.stage_burnout_ns[clock.stage] = clock.cut_off_ns + p.timeline.decay_ns
+        clock.stage_burnout_ns[clock.stage] = clock.stage_burnout_ns[clock.stage - 1]
 
 
 @entry

@@ -436,10 +436,12 @@ class Stage(Section):
                 key = (*self.engine_key(n), "inertia_about_gimbal_kgm2")
                 raise refuse("an engine without inertia cannot swing on a TVC load", "a number > 0", key, value=0.0)
         for group, actuator in zip(self.engine_groups, self.actuators, strict=False):
-            if group not in self.tvc_loads and any(axis.stall_torque_Nm is not None for axis in actuator.axes):
+            stalls = [axis.stall_torque_Nm for axis in actuator.axes if axis.stall_torque_Nm is not None]
+            if group not in self.tvc_loads and stalls:
                 at = ("actuator", self.actuator.index(actuator)) if isinstance(self.actuator, tuple) else ("actuator",)
+                at = (*at, "yaw") if actuator.stall_torque_Nm is None else at
                 problem = "without a TVC load the engine follows its actuator at any torque"
-                raise refuse(problem, "[stage.tvc_load]", (*at, "stall_torque_Nm"), value=actuator.stall_torque_Nm)
+                raise refuse(problem, "[stage.tvc_load]", (*at, "stall_torque_Nm"), value=stalls[0])
 
     def _check_slosh_mass(self) -> None:
         """Check that each body has more mass than its sloshing liquids and gimballed engines."""
