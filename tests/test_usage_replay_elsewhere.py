@@ -1,4 +1,4 @@
-"""Our logs in viewers that know nothing of us: Rerun alone, and the layout shipped for Foxglove."""
+"""Logs of maxq in other viewers: Rerun alone, and Foxglove with the shipped layout."""
 
 from __future__ import annotations
 
