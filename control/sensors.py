@@ -1,4 +1,4 @@
-"""Sensors after the first gyro, in the computer: counting, latency, lost samples, and the blended rate of the law.
+"""Processing of the further sensors in the computer: counts, latency, lost samples, and the blended rate of the law.
 
     q_g = w_0 q_0 + sum of w_k q_k
 

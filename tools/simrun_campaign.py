@@ -281,7 +281,7 @@ def search(folder: str, metric: str, *, runs: int = _SEARCH_FLIGHTS, workers: in
 
 
 def rare(folder: str, metric: str, *, runs: int = _RARE_FLIGHTS, workers: int | None = None) -> int:
-    """Estimate the probability of missing a requirement by subset simulation. The exit code is that of a campaign."""
+    """Estimate the probability of missing a requirement by subset simulation. The exit codes are as for a campaign."""
     place, start_s = Path(folder), time.perf_counter()
     campaign = campaign_in(place)
     asked = [r for r in campaign.base.scenario.requirement if r.metric == metric]

@@ -89,7 +89,7 @@ def fit(x: ArrayLike, columns: ArrayLike, method: Method = "pchip") -> Cubics:
 
 @lru_cache(maxsize=128)  # a campaign packs the same tables thousands of times; they take about 2 MB
 def _fitted(x_bytes: bytes, y_bytes: bytes, columns: int, method: Method) -> Cubics:
-    """Fit as `fit` does. The result is read-only, because it is shared."""
+    """Return the cached result of `fit`. The arrays are read-only, because callers share them."""
     x = np.frombuffer(x_bytes)
     y = np.frombuffer(y_bytes).reshape(len(x), columns)
     if not (np.isfinite(x).all() and np.isfinite(y).all()):

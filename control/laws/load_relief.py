@@ -72,9 +72,9 @@ def start_load_relief(state: LoadReliefState) -> None:
 def tick_load_relief(
     law: PdRecord, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, given: LawInputs
 ) -> float:
-    """Compute a tick as `tick_pd` does, plus load relief; the lag always runs.
+    """Compute a tick as `tick_pd` does and add load relief. The lag also runs while `on` is 0.
 
-    Each axis has three columns in the gain table.
+    The gain table has three columns for each axis.
     """
     law_rad, gimbal, sign = 0.0, given.gimbal, 1.0 - 2.0 * given.gimbal
     filters.accel_mps2[gimbal] += relief.share * (given.lateral_mps2 - filters.accel_mps2[gimbal])

@@ -2,8 +2,8 @@
 
     delta_pd = -k_p theta_e - k_d q_g,    theta_e = integral of (q_g - q_c)
 
-A positive error gives a negative command, because a positive gimbal angle produces a positive turn of the body. The
-linear model is design/laws/pd.py.
+A positive error gives a negative command, because a positive gimbal angle rotates the body in the positive sense. The
+linear model is in design/laws/pd.py.
 """
 
 from __future__ import annotations

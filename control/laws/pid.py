@@ -55,9 +55,9 @@ def integrate(pid: Pid, integral: PidState, k_i_ps: float, given: LawInputs) -> 
 
 @kernel
 def tick_pid(law: PdRecord, pid: Pid, pool: Array, state: PdState, integral: PidState, given: LawInputs) -> float:
-    """Compute a tick as `tick_pd` does, plus the integral, which is 0 with `on` = 0.
+    """Compute a tick as `tick_pd` does and add the integral, which is reset to 0 while `on` is 0.
 
-    Each axis has three columns in the gain table.
+    The gain table has three columns for each axis.
     """
     pid_rad, gimbal = 0.0, given.gimbal
     if given.on == 0:

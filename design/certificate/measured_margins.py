@@ -368,9 +368,9 @@ def alter(packed: Packed, held: HeldFlight, what: MarginName, amount: float) -> 
 
 @dataclass(frozen=True)
 class Drift:
-    """The growth rate (1/s) of the slowest root in the linear loop and in flight, and its change per decibel of gain.
+    """The growth rate (1/s) of the slowest root, in the linear loop and in flight, and its change per decibel of gain.
 
-    `others` are the margins of the held loop without that root.
+    `others` contains the margins of the held loop without that root.
     """
 
     linear_1ps: float

@@ -73,7 +73,7 @@ class SampledPlant:
         return Resolvent(self.phi, np.concatenate([self.late, self.early], axis=1), self.psi)
 
     def at(self, z: ComplexArray, resolvent: Resolvent) -> ComplexArray:
-        """Return the transfer functions at z, (*z.shape, outputs, inputs). `resolvent` is that of this plant."""
+        """Return the transfer functions at z, (*z.shape, outputs, inputs). `resolvent` belongs to this plant."""
         way = resolvent(z) + np.concatenate([self.rate_late, self.rate_early], axis=1)
         late, inputs = (1.0 / z)[..., None, None], self.late.shape[1]
         out = (way[..., :inputs] + way[..., inputs:] * late) * late / self.sample_s

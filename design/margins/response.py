@@ -212,7 +212,7 @@ def terms(
 
 @routine
 def by_pairs(poles: ComplexArray, mu: ComplexArray, alpha: ComplexArray, beta: ComplexArray) -> tuple[Array, Array]:
-    """Return the terms of conjugate pairs and of real poles, in the form of `LoopResponse`."""
+    """Return the terms of conjugate pairs and of real poles, as the fields of `LoopResponse`."""
     n, swings = len(poles), 0
     for i in range(n):
         swings += 1 if poles[i].imag > 0.0 else 0

@@ -16,7 +16,7 @@ SMALL = 1e-8  # step of ln f; the neglected third derivatives are at most 1e7 ne
 
 
 class Loops:
-    """The loops of the plants' curves with a law in terms of its variables.
+    """The open loops of all plants as functions of the variables of a control law.
 
     `unstable_open` (plants,) is the number of poles of P in the right half plane (outside the unit circle).
     """

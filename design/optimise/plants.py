@@ -110,7 +110,7 @@ def nodes_of(loaded: LoadedCase, times_s: Sequence[float]) -> Sequence[Operating
 
 
 def modes_of(path: FixedPath) -> tuple[FeatureMode, ...]:
-    """Return the bending modes within the range of a path, with the bands of their peaks (`loop.own_part`)."""
+    """Return the bending modes in the frequency range of a path, with the bands of their peaks (`loop.own_part`)."""
     top_hz, out = min(NEAREST_NYQUIST * path.highest_hz, HIGHEST_HZ), []
     bending = [r for r in path.resonances() if r.kind == "bending" and r.centre_hz <= top_hz]
     for r in bending:

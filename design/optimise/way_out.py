@@ -74,9 +74,9 @@ def conflict(solution: Solution) -> tuple[Relief, ...]:
 
 
 def _a_db(case: Case, at: Constraint) -> str:
-    """Return 1 dB of a limit in its own unit, as text.
+    """Return, as text, the change of a limit that corresponds to 1 dB, in the unit of the limit.
 
-    Phases are converted as in the optimiser, and other units are relative changes.
+    Phases are converted as in the optimiser; for other units, the change is a percentage of the limit.
     """
     if at.unit == "dB":
         return "1 dB"

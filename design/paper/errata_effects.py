@@ -24,9 +24,9 @@ EXPLAINED = {**ABOUT, "opened_at": OPENED, "paper": TOGETHER}
 
 @dataclass(frozen=True)
 class Effect:
-    """The effect of an uncorrected erratum at one operating point, as named numbers of the measure.
+    """The effect of an uncorrected erratum at one operating point, as named results of a measure.
 
-    `error` is the reason for missing numbers if the loop does not exist, as for a vehicle without the affected parts.
+    If the loop does not exist, for example because the vehicle lacks the affected parts, `error` gives the reason.
     """
 
     erratum: str  # a key of EXPLAINED

@@ -34,7 +34,7 @@ class PaperNode(Node):
     liquids: Liquids | None = None  # of the nominal vehicle; needed only for the errata of the tanks
 
     def plant_in_wind(self, wind: bool = True) -> StateSpace:
-        """Return the plant of the published equations, in the form of `Node.plant_in_wind`."""
+        """Return the plant of the published equations, with the interface of `Node.plant_in_wind`."""
         self.check_axial_load()
         try:
             vehicle = plane_vehicle(self.held, self.condition, self.plane)

@@ -154,7 +154,7 @@ def _flown_seed(seed: Seed, line: Line) -> int | None:
 
 
 def registered(seeds: Sequence[Seed], lines: Sequence[Line], vehicle: str) -> dict[str, Any]:
-    """Return the line that registers the seeds chosen by hand. `vehicle` is the hash of the vehicle.
+    """Return the ledger line that registers the seeds chosen by hand. `vehicle` is the hash of the vehicle.
 
     Raises ValueError if a registered seed would not be valid.
     """

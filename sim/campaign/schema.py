@@ -49,7 +49,7 @@ Samples = Annotated[CsvTable, Columns("")]
 
 
 class Envelope(Section):
-    """The histories of channels at a reduced rate, for percentiles over time."""
+    """The channel histories stored at a reduced rate, from which percentiles over time are computed."""
 
     channels: tuple[str, ...] = optional(
         "names of log channels (docs/telemetry.md)",

@@ -35,7 +35,7 @@ class Source:
     shown_as: KeyPath = ()
 
     def error(self, path: KeyPath, problem: str, **details: Any) -> ScenarioError:
-        """Return the error about the value at `path` of the scenario, with the key as written in this document."""
+        """Return an error for the value at `path` of the scenario. It names the key as written in this document."""
         if path[: len(self.within)] == self.within:
             path = self.shown_as + path[len(self.within) :]
         return ScenarioError(self.label, problem, ".".join(map(str, path)), **details)

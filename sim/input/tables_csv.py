@@ -70,7 +70,7 @@ class CsvTable:
         return len(next(iter(self.columns.values())))
 
     def told(self) -> dict[str, Any]:
-        """Return the table in the form of JSON and TOML."""
+        """Return the table as a dictionary for JSON and TOML."""
         label = {FILE_KEY: self.file, DATE_KEY: self.date}
         return {key: text for key, text in label.items() if text} | {k: v.tolist() for k, v in self.columns.items()}
 

@@ -204,7 +204,7 @@ _MESSAGES: dict[str, dict[str, str | _Field.Type.ValueType]] = {
 
 
 def _files_of(full_name: str) -> dict[str, descriptor_pb2.FileDescriptorProto]:
-    """Return, by type, the files that a message or enumeration imports, followed by its own file."""
+    """Return the descriptor files of a message or enumeration, by type: those it imports, then its own."""
     package, _, name = full_name.rpartition(".")
     fields = _MESSAGES.get(full_name, {})
     files: dict[str, descriptor_pb2.FileDescriptorProto] = {}

@@ -1,4 +1,4 @@
-"""The packing of a validated scenario for the kernel: parameter rows, table pool, initial state and memory."""
+"""Conversion of a validated scenario into kernel inputs: parameter rows, table pool, initial state and memory."""
 
 from __future__ import annotations
 

@@ -246,7 +246,10 @@ class HeldCode(Instance):
         self._check(answers[begin:], np.array(self._answered), "a held flight", begin)
 
     def _check(self, found: Array, wanted: Array, where: str, first: int = 0) -> None:
-        """Set `error` if a command `found` differs from `wanted`, both (n, 4); `first` is the row of the first."""
+        """Set `error` if the commands `found` and `wanted`, both (n, 4), differ.
+
+        `first` is the row of the recorded inputs that belongs to row 0; `where` names the run in the error.
+        """
         same = (found == wanted[: len(found)]) | (np.isnan(found) & np.isnan(wanted[: len(found)]))
         if self.error or (same.all() and len(found) == len(wanted)):
             return

@@ -137,7 +137,7 @@ def fly_to_end(
     watch: Callable[[FlightRun], None] | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Flight:
-    """Fly a run to its end without keeping rows, and close its log; `watch` and `stop` are those of `record`."""
+    """Fly a run to its end without keeping rows, and close its log; `watch` and `stop` are as in `record`."""
     try:
         while not run.finished and not stop():
             rows = run.fly_segment()

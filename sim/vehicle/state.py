@@ -61,7 +61,7 @@ def _index_of(block: StateBlock | None) -> Index:
 
 
 def _parts_of(block: StateBlock) -> Index:
-    """Return the number of a block's parts, in the form of an index."""
+    """Return the number of parts of a block, as an index."""
     return block.fixed_parts, *(int(block.counted_by == field) for field in Counts._fields)
 
 

@@ -277,7 +277,7 @@ class Parser(argparse.ArgumentParser):
 
 
 class _Formatter(argparse.RawDescriptionHelpFormatter):
-    """The formatter of argparse, with subcommands listed in the form of options."""
+    """The formatter of argparse, with subcommands listed like options."""
 
     def _format_action(self, action: argparse.Action) -> str:
         if isinstance(action, argparse._SubParsersAction):

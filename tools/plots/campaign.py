@@ -45,7 +45,7 @@ _LIMITED = {  # the metric whose limits apply to each channel
 
 
 def replay(folder: Path, run: int | str) -> str:
-    """Return the command that flies a run again. `folder` is that of the campaign."""
+    """Return the command that flies a run again. `folder` is the folder of the campaign."""
     return f"simrun refly {shlex.quote(str(folder))} --run {run}"
 
 
@@ -181,7 +181,7 @@ def _histogram(data: DataSet, v: Judged) -> Panel | None:
 def bars(values: Array, runs: NDArray[np.int64], v: Judged) -> Series:
     """Return a histogram with separate counts of the values that miss the limit.
 
-    `runs` contains the number of the run of each value. The worst run of each bar is stored.
+    `runs` contains the run number of each value. The series also contains the worst run of each bar.
     """
     edges = np.histogram_bin_edges(values, bins=min(max(round(math.sqrt(len(values))), 10), 40))
     place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)

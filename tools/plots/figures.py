@@ -158,8 +158,9 @@ def _plain(value: Any) -> Any:
 
 
 def as_csv(plot: Plot) -> str:
-    """Return all drawn data as CSV. y2 is the far side of a band, or for bars the number of values that miss the
-    limit.
+    """Return all drawn data as CSV.
+
+    Column y2 is the second edge of a band or, for bars, the number of values that miss the limit.
     """
     out = io.StringIO()
     write = csv.writer(out).writerow

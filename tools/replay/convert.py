@@ -58,7 +58,7 @@ class Options:
 
 @dataclass(frozen=True)
 class TimeSpan:
-    """A part of the time and the axes of the plots over it. `name` is that of its tab, if there are several."""
+    """A part of the time and the axes of the plots over it. `name` is the name of its tab, if there are several."""
 
     name: str
     span_s: tuple[float, float]

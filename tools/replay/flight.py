@@ -65,7 +65,7 @@ class Channels(Protocol):
 
 @dataclass(frozen=True)
 class Moment:
-    """An event of a flight. `name` is that of the log, and `text` is for readers."""
+    """An event of a flight. `name` is the name in the log, and `text` is for readers."""
 
     name: str
     time_ns: int

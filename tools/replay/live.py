@@ -131,7 +131,7 @@ class LiveView:
         self.stop: Callable[[], bool] = lambda: False
 
     def run(self, packed: Packed, factor: float | None) -> LiveRun:
-        """Return the flight, which is to be flown like any other. `factor` is that of `LiveRun`."""
+        """Return the flight, which is flown like any other. `factor` is as in `LiveRun`."""
         return LiveRun(self._loaded, packed, self, factor)
 
     def add(self, run: FlightRun, rows: LoggedRows) -> None:

@@ -69,10 +69,10 @@ class FirstGains:
 def write_with_first_gains(
     built: Built, folder: Path, progress: Callable[[str, int, int], None] = lambda *_: None
 ) -> tuple[Built, list[Path], FirstGains]:
-    """Write a vehicle, check its first gains along their own flight, and search for others if they fail.
+    """Write a vehicle, check its first gains along the flight that they control, and search for others if they fail.
 
-    Return the vehicle, the paths of its files, and the check of its gains. The gains of the search are discarded if
-    they leave more points unstable.
+    Return the vehicle, the paths of its files, and the check of its gains. Gains from the search are discarded if they
+    leave more operating points unstable.
     """
     files = write(built, folder)
     progress("flying the first gains", 0, 0)

@@ -58,7 +58,7 @@ def board_tables(found: Verification) -> list[BoardTable]:
 
 
 def board_record(found: Verification) -> dict[str, Any]:
-    """Return the tables in the form of verdict.json: by name, a list of rows by heading, or "absent" for a table
+    """Return the tables as in verdict.json: by name, a list of rows by heading, or "absent" for a table
     without rows.
     """
     tables = board_tables(found)

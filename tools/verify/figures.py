@@ -280,10 +280,10 @@ def _certificate(nodes: Sequence[NodeCertificate]) -> Plot:
 
 
 def _lines(nodes: Sequence[NodeCertificate], n: int, *, rounded: bool) -> Iterator[tuple[float, float, str, str]]:
-    """Yield the frequency (Hz), difference, reason and operating point of every line that is judged.
+    """Yield the frequency (Hz), difference, reason and operating point of each judged line of the excitation.
 
-    `n` is 0 for gain (dB) and 1 for phase (deg). Without `rounded`, differences are those without rounding if
-    available.
+    `n` is 0 for gain (dB) and 1 for phase (deg). If `rounded` is False, differences exclude the rounding of the
+    converter where such values are available.
     """
     for c in nodes:
         r = c.responses

@@ -464,7 +464,7 @@ def _worst(w: WorstVehicle) -> dict[str, Any]:
 
 
 def measured_record(n: MeasuredNode) -> dict[str, Any]:
-    """Return a measurement of flight code without a linear model, in the form of verdict.json."""
+    """Return the entry of verdict.json for a measurement of flight code without a linear model."""
     return {
         "time_s": n.time_s,
         "plane": n.plane,
@@ -483,7 +483,7 @@ def measured_record(n: MeasuredNode) -> dict[str, Any]:
 
 
 def certificate_record(c: NodeCertificate) -> dict[str, Any]:
-    """Return a certificate in the form of verdict.json."""
+    """Return the entry of verdict.json for a certificate."""
     r = c.responses
     return {
         "time_s": c.time_s,

@@ -126,7 +126,7 @@ class _Bulk:
         return _Bulk(points.grids, points.displaced_in, self.masses or other.masses)
 
     def lumped(self) -> tuple[Floats, Floats]:
-        """Return the lumped masses and inertias in the form of `NastranModes`."""
+        """Return the lumped masses and inertias as the arrays of `NastranModes`."""
         known = [mass for mass in self.masses if mass[0] in self.grids]
         places = [[*map(sum, zip(self.grids[grid], offset, strict=True)), kg] for grid, kg, offset, _ in known]
         return np.array(places, dtype=np.float64).reshape(-1, 4), np.array([about_x for *_, about_x in known])

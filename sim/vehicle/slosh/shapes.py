@@ -136,9 +136,9 @@ def _legendre(x: Array, count: int) -> tuple[Array, Array]:
 
 
 def _wall(profile: Profile, low: float, high: float, points: int) -> tuple[Array, Array, Array, Array]:
-    """Return Gauss points on the wall from height `low` to `high`.
+    """Return Gauss points on the tank wall from height `low` to `high`.
 
-    The arrays are height, radius, and weights of height and of arc length.
+    The arrays are height, radius, and the weights of integrals over height and over arc length.
     """
     x, w = np.polynomial.legendre.leggauss(points)
     rows: list[tuple[Array, Array, Array, Array]] = []

@@ -107,10 +107,10 @@ REFINED = (
 
 
 def accuracy(peers_python: Path, flights: int = 3) -> list[dict[str, Any]]:
-    """Return for each program and method the least CPU time of some flights and the error of the flight's end.
+    """Return, for each program and method, the least CPU time of `flights` flights and the error at their end.
 
-    The errors `position_m` and `attitude_deg` are relative to the program's finest method. A skipped program has the
-    reason in `skipped`.
+    The errors `position_m` and `attitude_deg` are relative to the program's finest method. The row of a
+    program that cannot run has the reason in `skipped`.
     """
     return [
         row for each in REFINED for row in _refined(each, Path(sys.executable) if each.ours else peers_python, flights)

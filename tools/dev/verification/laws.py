@@ -89,9 +89,9 @@ FLOWN_WITH = {  # overrides with which a design is flown
 
 
 def make(vehicle: str, name: str, folder: Path) -> dict[str, Any]:
-    """Design, certify and fly a row. Return its record.
+    """Design, certify and fly the control law of a table row, and return the record of the row.
 
-    A row without a case has the design of "pd F4" with the additions of `FLOWN_WITH`.
+    A row without a case uses the design of "pd F4" with the changes in `FLOWN_WITH`.
     """
     base = folder / vehicle
     out = base / _plain(name)
