@@ -38,7 +38,7 @@ def browser() -> str:
 
 @pytest.fixture
 def served() -> Iterator[tuple[str, int]]:
-    """Address of the page, and its port."""
+    """Return the address of the page, and its port."""
     port = free_port()
     command = [sys.executable, "-m", "maxq.tools.simreplay", str(OLD_LOG), "--web", "--port", str(port)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:

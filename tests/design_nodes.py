@@ -37,7 +37,7 @@ def flown(plane: str = "pitch", *overrides: str) -> tuple[Node, ...]:
 
 @cache
 def published(plane: str = "pitch", *overrides: str) -> tuple:
-    """The same with the published equations of design/paper."""
+    """Return the operating point with the published equations of design/paper."""
     return tuple(published_nodes(nominal(*overrides), TIMES_S, plane=plane))
 
 
@@ -56,7 +56,7 @@ def design() -> Design:
 
 
 def without(node: Node, *, modes: bool = False, tanks: bool = False) -> Node:
-    """The node without its bending modes, or its pendulums (their mass is then missing)."""
+    """Return the node without its bending modes, or its pendulums (their mass is then missing)."""
     held = without_bending(node.held) if modes else node.held.copied()
     for k in range(len(held.swing_rad) if tanks else 0):
         column = schedule.tank_column(k)
@@ -65,7 +65,7 @@ def without(node: Node, *, modes: bool = False, tanks: bool = False) -> Node:
 
 
 def ideal(node: Node, *, actuator: bool = False, gyro: bool = False) -> Node:
-    """The node with an ideal actuator or gyro."""
+    """Return the node with an ideal actuator or gyro."""
     i = node.instruments
     changed = dataclasses.replace(
         i,
@@ -76,7 +76,7 @@ def ideal(node: Node, *, actuator: bool = False, gyro: bool = False) -> Node:
 
 
 def closed_damping(loop: Loop) -> dict[str, float]:
-    """Damping ratio that each lightly damped pole of bending and slosh has in the closed loop, by label.
+    """Return the damping ratio that each lightly damped pole of bending and slosh has in the closed loop, by label.
 
     The poles are followed from the open loop by raising both gains together from zero, step by step.
     """

@@ -369,7 +369,7 @@ def from_schema(schema: dict[str, Any], root: dict[str, Any], depth: int = 0) ->
 
 
 def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Paths of everything below."""
+    """Return the paths of all values below."""
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, item in items:
         yield (*path, key)
@@ -377,7 +377,7 @@ def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 
 def at(tree: Any, path: tuple[Any, ...]) -> Any:
-    """The value at a path."""
+    """Return the value at a path."""
     for part in path:
         tree = tree[part]
     return tree
@@ -403,7 +403,7 @@ def _schema(kind: str) -> dict[str, Any]:
 
 @st.composite
 def mutated(draw: st.DrawFn, kind: str) -> str:
-    """The base document with one to three mutations, as TOML."""
+    """Return the base document with one to three mutations, as TOML."""
     schema, tree = _schema(kind), copy.deepcopy(tomllib.loads(BASES[kind]))
     for _ in range(draw(st.sampled_from([1, 1, 1, 2, 3]))):
         every = list(places(tree))
@@ -476,7 +476,7 @@ def damaged(draw: st.DrawFn, text: str) -> bytes:
 
 @st.composite
 def broken_table(draw: st.DrawFn) -> tuple[str, bytes]:
-    """A CSV file with some cells, rows or bytes changed."""
+    """Return a CSV file with some cells, rows or bytes changed."""
     name = draw(st.sampled_from(sorted(CSV_FILES)))
     rows = [line.split(",") for line in CSV_FILES[name].splitlines()]
     for _ in range(draw(st.sampled_from([1, 1, 1, 2, 3]))):
@@ -502,7 +502,7 @@ def _cell(number: float) -> str:
 
 
 def broken(kind: str) -> st.SearchStrategy[tuple[str, bytes]]:
-    """Name and bytes of a broken file of a kind of KINDS."""
+    """Return the name and bytes of a broken file of a kind of KINDS."""
     if kind == "table":
         return broken_table()
     whole = st.one_of(*[mutated(kind).map(lambda text: text.encode(errors="replace"))] * 5, damaged(BASES[kind]))

@@ -18,7 +18,7 @@ needs_compiler = pytest.mark.skipif(COMPILER is None, reason="there is no C comp
 
 
 def compiled(folder: Path, source: Path, name: str, *flags: str, program: bool = False) -> Path:
-    """A shared library, or a program, of one C file; warnings are errors."""
+    """Compile one C file into a shared library or a program. Warnings are errors."""
     out = folder / (name if program else f"lib{name}.so")
     shared = () if program else ("-shared", "-fPIC")
     words = [str(COMPILER), *STRICT, *shared, *flags, "-I", str(HEADER.parent), "-o", str(out), str(source), "-lm"]

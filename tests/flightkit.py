@@ -31,7 +31,7 @@ Tree = dict[str, Any]
 
 # --- scenarios as text
 def toml(value: Any) -> str:
-    """A value in TOML's inline notation."""
+    """Return a value in TOML's inline notation."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{key} = {toml(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list | tuple | np.ndarray):
@@ -46,7 +46,7 @@ def toml(value: Any) -> str:
 
 
 def merged(tree: Tree, changes: Tree) -> Tree:
-    """A copy of `tree` with the values of `changes` in place of its own, table by table."""
+    """Return a copy of `tree` with the values of `changes` in place of its own, table by table."""
     out = dict(tree)
     for key, value in changes.items():
         out[key] = merged(out[key], value) if isinstance(value, dict) and key in out else value
@@ -200,7 +200,7 @@ def stage_of(parts: Parts) -> Tree:
 
 
 def scenario_of(parts: Parts, **sections: Any) -> Tree:
-    """The scenario that flies `parts` through empty space, with whole sections merged in on top."""
+    """Return the scenario that flies `parts` through empty space, with whole sections merged in on top."""
     vehicle: Tree = {
         "name": "parts",
         "reference": {"length_m": 14.0, "diameter_m": 1.0, "area_m2": 0.8},
@@ -212,12 +212,12 @@ def scenario_of(parts: Parts, **sections: Any) -> Tree:
 
 
 def with_stage(tree: Tree, **changes: Any) -> Tree:
-    """The scenario with its only stage changed."""
+    """Return the scenario with its only stage changed."""
     return merged(tree, {"vehicle": {"stage": [merged(tree["vehicle"]["stage"][0], changes)]}})
 
 
 def oracle_vehicle(parts: Parts, damping_1ps: tuple[float, ...] = ()) -> system.Vehicle:
-    """The same vehicle for the oracles; pairs need equally many modes in both planes."""
+    """Return the same vehicle for the oracles; pairs need the same number of modes in both planes."""
     x, y, z = parts.core_cg
     at = {station: k for k, station in enumerate(parts.stations_m)}
     pairs = tuple(
@@ -265,7 +265,7 @@ def _meet(P, pool, state, y, space, until_ns):  # type: ignore[no-untyped-def]  
 
 
 def gimbal_motions(channels: Any) -> Array:
-    """Angle, rate and acceleration (n, 3) of some gimbal gimbal_motions."""
+    """Return the angle, rate and acceleration (n, 3) of some gimbal motions."""
     return np.array(channels.tolist())
 
 
@@ -300,12 +300,12 @@ class Rig:
 
     @property
     def motion(self) -> Array:
-        """Angle, rate and acceleration (2, 3) of the first group of engines in pitch and yaw."""
+        """Return the angle, rate and acceleration (2, 3) of the first group of engines in pitch and yaw."""
         return gimbal_motions(self.aux.engines.channel[:2])
 
     @property
     def vehicle(self) -> Any:
-        """Parameters of the first stage's vehicle; may be written."""
+        """Return the parameters of the first stage's vehicle; may be written."""
         return self.packed.parameters[0].vehicle
 
     @property
@@ -324,7 +324,7 @@ class Rig:
         return self.vehicle.sizes
 
     def derivative(self, y: Array, time_s: float = 0.0) -> Array:
-        """Time derivative of `y` (n,) at a flight time; a copy."""
+        """Return the time derivative of `y` (n,) at a flight time; a copy."""
         return self.derivative_within(y, round(1e9 * time_s), 0.0)
 
     def derivative_within(self, y: Array, now_ns: int, elapsed_s: float) -> Array:
@@ -335,12 +335,12 @@ class Rig:
         return self.dy[: self.n].copy()
 
     def run(self) -> FlightRun:
-        """A flight from `y`; the rig's own memory flies."""
+        """Return a flight from `y`, which uses the memory of the rig."""
         return FlightRun(self.loaded, self.packed, log=False)
 
 
 def rig(tree: Tree) -> Rig:
-    """A rig ready to fly: engine, computer and clock at the scenario's start."""
+    """Return a rig ready to fly: engine, computer and clock at the scenario's start."""
     loaded = load(tree)
     return rig_of(loaded)
 
@@ -353,7 +353,7 @@ def rig_of(loaded: LoadedScenario) -> Rig:
 
 
 def flown(made: Rig, duration_s: float, every_s: float | None = None) -> Array:
-    """States (samples, n) at the start and every `every_s` (default: only at the end) of a flight.
+    """Return the states (samples, n) at the start and every `every_s` (default: only at the end) of a flight.
 
     `every_s` must be a multiple of the step: then where a state is taken changes nothing in the flight.
     """
@@ -375,7 +375,7 @@ def meet(made: Rig, until_ns: int) -> int:
 
 # --- between the simulator's state and the oracles'
 def engine_states(made: Rig, angle: Array, rate: Array, accel: Array) -> Array:
-    """Smallest actuator states (12,) that give engine angles, rates and accelerations (pitch, yaw; rad)."""
+    """Return the smallest actuator states (12,) that give engine angles, rates and accelerations (pitch, yaw; rad)."""
     out = np.zeros(12)
     for axis in range(2):
         columns = []
@@ -393,7 +393,7 @@ def engine_states(made: Rig, angle: Array, rate: Array, accel: Array) -> Array:
 
 
 def to_simulator(made: Rig, state: system.State) -> Array:
-    """The oracle's state as the simulator's (n,)."""
+    """Return the oracle's state as the simulator's (n,)."""
     y = made.y.copy()
     w = state.w_BI_B_radps
     y[layout.R_I : layout.R_I + 3], y[layout.V_I : layout.V_I + 3] = state.r_I_m, state.v_I_mps
@@ -415,7 +415,7 @@ def to_simulator(made: Rig, state: system.State) -> Array:
 
 
 def to_oracle(made: Rig, y: Array) -> system.State:
-    """The inverse of `to_simulator`; engine angles come from the actuators' states."""
+    """Return a simulator state as the oracle's; the engine angles come from the actuator states."""
     made.derivative(y)
     engine = made.motion
     w = y[layout.W_BI_B : layout.W_BI_B + 3].copy()
@@ -445,7 +445,7 @@ def to_oracle(made: Rig, y: Array) -> system.State:
 
 
 def accelerations(made: Rig, y: Array, gravitation_I_mps2: Array | None = None) -> dict[str, Array]:
-    """The simulator's answer under the names of `multibody_sympy.accelerations`."""
+    """Return the simulator's result under the names of `multibody_sympy.accelerations`."""
     dy = made.derivative(y)
     state = to_oracle(made, y)
     w = state.w_BI_B_radps

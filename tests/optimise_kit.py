@@ -44,19 +44,19 @@ def problem(*overrides: str, on=None):
 
 
 def pd(p) -> PdVariables:
-    """The problem's law."""
+    """Return the problem's law."""
     assert isinstance(p.law, PdVariables)
     return p.law
 
 
 def designed(s) -> PdDesign:
-    """The solution's law."""
+    """Return the solution's law."""
     assert isinstance(s.law, PdDesign)
     return s.law
 
 
 def some_point(p, seed: int = 0, **_: Any) -> Array:
-    """A stable design with mild notches and gains near 1 and 0.45."""
+    """Return a stable design with mild notches and gains near 1 and 0.45."""
     rng = np.random.default_rng(seed)
     y = []
     for name in pd(p).filter.names:

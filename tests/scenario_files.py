@@ -126,7 +126,7 @@ limit = 300000.0
 
 
 def modes_csv(times: tuple[float, ...] = (0.0, 59.0), modes: int = 2) -> str:
-    """A mode table with stations 0, 7, 14."""
+    """Return a mode table with stations 0, 7, 14."""
     lines = ["time_s,mode,frequency_hz,generalized_mass_kg,station_m,phi,slope_pm,mass_forward_kg"]
     lines += [
         f"{t:g},{m},{9.1 * m + 0.01 * t},{1700 * m},{x},"
@@ -139,7 +139,7 @@ def modes_csv(times: tuple[float, ...] = (0.0, 59.0), modes: int = 2) -> str:
 
 
 def write_free(folder: Path) -> Path:
-    """A torque-free brick; returns the scenario file."""
+    """Write the scenario of a torque-free brick, and return its path."""
     (folder / "brick").mkdir(parents=True)
     (folder / "brick" / "vehicle.toml").write_text(BRICK)
     (folder / "free.toml").write_text(FREE)
@@ -147,7 +147,7 @@ def write_free(folder: Path) -> Path:
 
 
 def write_ascent(folder: Path) -> Path:
-    """A rocket with everything, flown by a design; returns the scenario file."""
+    """Write the scenario of a rocket with all components, flown with a design, and return its path."""
     vehicle = folder / "vehicles" / "rocket"
     for made in (vehicle, folder / "designs", folder / "winds"):
         made.mkdir(parents=True)

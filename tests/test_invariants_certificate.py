@@ -76,7 +76,7 @@ def _through_converter(increments_rad: np.ndarray, remainder_rad: float) -> np.n
 
 
 def _gain(pulses: float, slow_pulses: float, remainder: float = 0.0) -> float:
-    """Gain of the converter at a line of 29.7 Hz sampled at 100 Hz, by a transform over 40 s."""
+    """Return the gain of the converter at a line of 29.7 Hz sampled at 100 Hz, by a transform over 40 s."""
     n, line = 4000, 1188
     turn = 2.0 * np.pi * np.arange(n) / n
     fast = PULSE_RAD * pulses * np.sin(line * turn + 0.4)

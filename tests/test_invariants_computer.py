@@ -60,7 +60,7 @@ class Flown:
         gimbal_rad: Any = (0.0, 0.0),
         gimbal_replaces: Any = (0, 0),
     ) -> Array:
-        """Command of pitch and yaw, and the roll demand."""
+        """Return the command of pitch and yaw, and the roll demand."""
         self.samples += 1
         computer_tick(
             self.computer,
@@ -235,7 +235,7 @@ def test_a_faulty_input_counts_as_zero(fault: float) -> None:
 
 
 def flight_bytes() -> str:
-    """Commands and final state of a flight with every part at work, as hexadecimal digits."""
+    """Return the commands and final state of a flight with all components active, as hexadecimal digits."""
     flown = Flown(command_limit_rad=0.02, angle_error_limit_rad=0.05)
     out = []
     for k, increment_rad in enumerate(noise(5)):

@@ -20,7 +20,7 @@ COUNTS_RAD = st.floats(1e-9, 1e-2)
 
 
 def counted(count_rad: float, increments_rad: list[float]) -> list[ConverterState]:
-    """A copy of the state after each sample; the angle turns about body y."""
+    """Return a copy of the state after each sample; the angle turns about body y."""
     converter, states, after = pack([make_converter(count_rad)])[0], blank(ConverterState), []
     for increment_rad in increments_rad:
         convert(converter, states[0], 1, increment_rad)

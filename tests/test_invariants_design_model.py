@@ -59,7 +59,7 @@ EVERY_NODE = pytest.mark.parametrize("time_s", TIMES_S)
 
 
 def with_modes(node: Node, which: list[int]) -> Node:
-    """The node with these of its pitch modes, no other one, and no axial softening."""
+    """Return the operating point with only these pitch modes and without axial softening."""
     held = node.held.copied()
     p, sizes, modes = held.properties, held.sizes, len(node.vehicle.omega_radps)
     for row in range(int(schedule.mode_rows(sizes))):

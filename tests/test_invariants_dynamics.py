@@ -112,7 +112,7 @@ def constants(made: Rig) -> Array:
 
 @pytest.fixture(scope="module")
 def drifts() -> dict[bool, list[Array]]:
-    """Relative change of energy, linear and angular momentum in 2 s, per step size; engine at rest or
+    """Return the relative change of energy, linear and angular momentum in 2 s, per step size; engine at rest or
     moving.
     """
     out: dict[bool, list[Array]] = {False: [], True: []}
@@ -207,7 +207,7 @@ def free_flight_one_plane(step_s: float, parts: Parts) -> Rig:
 
 
 def one_plane_constants(made: Rig, parts: Parts) -> Array:
-    """Energy, linear and angular momentum (in I, about its origin) of core, one pitch mode and two bobs.
+    """Return the energy, linear and angular momentum (in I, about its origin) of core, one pitch mode and two bobs.
 
     The bent core keeps its momenta (displacements of first order); a hinge is displaced along z and moves
     with it.
@@ -337,7 +337,7 @@ def stirred(made: Rig, both_gimbals: bool = True) -> None:
 
 
 def turned(y: Array, rotation: Array) -> Array:
-    """The same state in another place: position, velocity and attitude turned in I."""
+    """Return the state with position, velocity and attitude rotated in I."""
     out = y.copy()
     for first in (layout.R_I, layout.V_I):
         out[first : first + 3] = rotation @ y[first : first + 3]
@@ -372,7 +372,7 @@ def test_shift_and_constant_speed_change_nothing_in_empty_space() -> None:
 
 
 def rolled(made: Rig, y: Array) -> Array:
-    """The same motion of a body of revolution whose y and z axes were painted on a quarter turn earlier.
+    """Return the same motion of a body of revolution with y and z axes rotated by 90 deg.
 
     What happened in the pitch plane happens in the yaw plane: z becomes -y, y becomes z.
     """
@@ -397,7 +397,7 @@ def rolled(made: Rig, y: Array) -> Array:
 
 
 def mirrored(made: Rig, y: Array) -> Array:
-    """The mirror image on the body's x-z plane, I mirrored on its own y axis, which is taken along."""
+    """Return the mirror image on the body's x-z plane, I mirrored on its own y axis, which is taken along."""
     flip, spin = np.diag([1.0, -1.0, 1.0]), np.diag([-1.0, 1.0, -1.0])
     out = y.copy()
     for first in (layout.R_I, layout.V_I):

@@ -38,7 +38,7 @@ def example(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 @pytest.fixture(scope="module")
 def chunks(tmp_path_factory: pytest.TempPathFactory) -> list[ChunkIndex]:
-    """Places of the chunks according to the mcap package."""
+    """Return the places of the chunks according to the mcap package."""
     path = tmp_path_factory.mktemp("log") / "example.mcap"
     write_example(path)
     with path.open("rb") as file:

@@ -364,7 +364,7 @@ class Ended:
 
 @pytest.mark.long
 def test_dispersed_plants_hold_between_the_nodes_where_they_are_asked_to() -> None:
-    """Least |1 + L| by design/margins, every 0.4 s, of the vehicle as it is and of corners tank by tank."""
+    """Check the least |1 + L| by design/margins every 0.4 s, for the nominal vehicle and twelve random corners."""
     few = ("bending_slope", "slosh_damping", "actuator_frequency", "delay_s", "thrust", "normal_force")
     none = [f"robust.{name}=0.0" for name in (*few, "centre_of_pressure_m", "inertia")]
     changes = ("nodes_s=[45.0, 50.0, 55.0]", "search.starts=2", "search.leaps=0", *none)

@@ -87,7 +87,7 @@ def stirred(step_s: float, exchange: bool = True, parts: Parts = PARTS) -> Rig:
 
 
 def constants(made: Rig, time_s: float) -> tuple[Array, Array]:
-    """Linear momentum; angular momentum about the common CG (I)."""
+    """Return the linear momentum, and the angular momentum about the common CG (I)."""
     parts = vehicle_of(time_s)
     vehicle, state = oracle_vehicle(parts), to_oracle(made, made.y)
     moved = multibody_sympy.momentum(vehicle, state)
@@ -104,7 +104,7 @@ def constants(made: Rig, time_s: float) -> tuple[Array, Array]:
 
 
 def wander(step_s: float, exchange: bool) -> tuple[float, float]:
-    """Largest change of linear and angular momentum in the flight, relative."""
+    """Return the largest change of linear and angular momentum in the flight, relative."""
     made = stirred(step_s, exchange)
     run = made.run()
     linear, angular = constants(made, 0.0)

@@ -71,7 +71,7 @@ def flown(turns: Array, commanded: Array, **changes: Any) -> tuple[Array, Array]
 
 
 def expected(turns: Array, commanded: Array, law: Array, integral: bool) -> tuple[Array, Array]:
-    """The same by the published equations; `law` (samples,): command at a total gain of 1. One axis."""
+    """Return the result of the published equations for one axis; `law` (samples,) is the command at total gain 1."""
     w, zeta = 2.0 * np.pi * GIVEN["reference_hz"], GIVEN["reference_zeta"]
     model = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
     driven = np.array([[-1.0], [2.0 * zeta * w if integral else 0.0]])
@@ -150,7 +150,7 @@ def adaptive(error_gain: float, high_pass_hz: float) -> str:
 
 
 def with_gains(loaded: LoadedScenario, factor: float) -> LoadedScenario:
-    """The scenario with all gains of the first stage's design times a factor."""
+    """Return the scenario with all gains of the first stage's design times a factor."""
     design = loaded.scenario.design
     assert design is not None
     columns = {k: v if k == "time_s" else factor * v for k, v in design.gains.table.columns.items()}

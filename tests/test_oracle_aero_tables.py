@@ -146,7 +146,7 @@ def looked_up(columns: Tree, axes: list[str], point: list[float]) -> dict[str, f
 
 
 def expected(columns: Tree, flow: Array, mach: float, factors: tuple[float, float] = (1.0, 1.0)) -> tuple[Array, Array]:
-    """Force and moment about the reference in B, static part. `factors`: axial, normal."""
+    """Return the force and moment about the reference in B, static part. `factors`: axial, normal."""
     u, v, w = flow
     speed = float(np.linalg.norm(flow))
     total, roll = math.acos(u / speed), math.atan2(v, w)

@@ -116,7 +116,7 @@ def test_a_table_for_the_engine_off_has_no_slopes_under_thrust() -> None:
 
 
 def symmetric() -> Tree:
-    """Aeroballistic tables without roll angle: forces of a body of revolution; its rate derivatives."""
+    """Return aeroballistic tables without a roll angle: forces and rate derivatives of a body of revolution."""
     made = table({"mach": [0.0, 0.5, 1.0, 2.0], "total_deg": [0.0, 4.0, 11.0, 40.0]}, 11, "CN", "Cm", "CA")
     rates = table({"mach": [0.0, 1.0, 2.0]}, 12, "Cmq", "CNq", "Clp")
     rates = rates | {"Cnr": 2.0 * rates["Cmq"], "CYr": -1.5 * rates["CNq"]}
@@ -131,7 +131,7 @@ def symmetric() -> Tree:
 
 
 def in_plane(model, plane: str) -> Array:
-    """Rates of the states of `vehicle_plant` by them; yaw in its mirrored axes."""
+    """Return the rates of the states of `vehicle_plant` by them; yaw in its mirrored axes."""
     pitch = plane == "pitch"
     shape, side = ("eta", "pitch") if pitch else ("xi", "yaw")
     names = ["w_mps", "q_radps", "theta_rad"] if pitch else ["v_mps", "r_radps", "psi_rad"]

@@ -25,7 +25,7 @@ def packed(*overrides: str) -> Packed:
 
 
 def matrices(made: Packed) -> tuple[Array, list[Array]]:
-    """Times and matrices (channels, 3) of the first stage."""
+    """Return the times and matrices (channels, 3) of the first stage."""
     a = made.parameters[0].computer.allocation
     table = table_in(made.pool, a.matrix)
     return table.breaks, [c[0].reshape(-1, 3) for c in table.coefficients]

@@ -67,7 +67,7 @@ def test_strapdown_with_its_coning_term_is_of_higher_order() -> None:
 
 
 def error_of(turned: Rotation) -> Array:
-    """Roll, and the rotation vector in B that takes the commanded nose to the measured one."""
+    """Return the roll error and the rotation vector in B that takes the commanded nose to the measured one."""
     nose, tilted = turned.inv().apply([1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
     axis = np.cross(nose, tilted)
     tilt = axis / np.linalg.norm(axis) * math.acos(np.clip(nose @ tilted, -1.0, 1.0))
@@ -162,7 +162,7 @@ BODY_RADPS = SPIN * (INERTIA_KGM2[0] - INERTIA_KGM2[1]) / INERTIA_KGM2[1]  # of 
 
 
 def cone_angles(t: float) -> Array:
-    """Integral of the body rates (p, w cos(n t), w sin(n t)) of a symmetric body without torque."""
+    """Return the integral of the body rates (p, w cos(n t), w sin(n t)) of a symmetric body without torque."""
     n = BODY_RADPS
     return np.array([SPIN * t, NUTATION / n * math.sin(n * t), NUTATION / n * (1.0 - math.cos(n * t))])
 

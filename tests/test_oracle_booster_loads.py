@@ -59,7 +59,7 @@ GRID_M = np.linspace(0.0, 12.0, 13)
 
 
 def particles(rods: list[tuple[float, float, float]]) -> tuple[Array, Array]:
-    """Stations and masses of a Gauss quadrature of rods, exact for cubics times lever arms."""
+    """Return the stations and masses of a Gauss quadrature of rods, exact for cubic shapes times lever arms."""
     node, weight = np.polynomial.legendre.leggauss(6)
     x, m = [], []
     for front, rear, kg in rods:
@@ -71,7 +71,7 @@ def particles(rods: list[tuple[float, float, float]]) -> tuple[Array, Array]:
 
 
 def composed(points: list[tuple[float, Array]], extra_kgm2: float) -> tuple[float, Array, Array]:
-    """Mass, CG (B) and inertia about it of points (kg, place), with an isotropic inertia in addition."""
+    """Return the mass, CG (B) and inertia about it of points (kg, place), with an isotropic inertia in addition."""
     mass = sum(m for m, _ in points)
     cg = sum(m * r for m, r in points) / mass
     turned = sum(m * ((r - cg) @ (r - cg) * np.eye(3) - np.outer(r - cg, r - cg)) for m, r in points)
@@ -96,7 +96,7 @@ def in_tank(side: Tree) -> tuple[float, float]:
 
 
 def dry_points(side: Tree, shift: tuple[float, float]) -> list[tuple[float, Array]]:
-    """The rods of a booster, moved off its axis by `shift`, and its engine at rest."""
+    """Return the rods of a booster, moved off its axis by `shift`, and its engine at rest."""
     x, m = particles(side["rods"])
     y, z = side["at"]
     points = [(mass, np.array([-at, y + shift[0], z + shift[1]])) for at, mass in zip(x, m, strict=True)]
@@ -159,7 +159,7 @@ def shapes() -> tuple[CubicHermiteSpline, ...]:
 
 
 def motion_of(side: Tree, shape: CubicHermiteSpline) -> tuple[float, float]:
-    """The shape at a booster's first attachment, and its slope."""
+    """Return the shape at a booster's first attachment, and its slope."""
     first, last = side["held"][0], side["held"][-1]
     held = float(shape(first))
     return held, float(shape(first, 1)) if first == last else (float(shape(last)) - held) / (last - first)
@@ -222,7 +222,7 @@ def launcher(shift: tuple[float, float], bent: bool) -> Tree:
 
 
 def axis_motion(angles: Array, turned: tuple[float, float]) -> tuple[Array, Array, Array]:
-    """The thrust axis of a deflected engine with its derivatives, from its definition."""
+    """Return the thrust axis of a deflected engine with its derivatives, from its definition."""
     t = sympy.Symbol("t")
     (a, b, c), (d, e, f) = angles.tolist()
     p, y = a + turned[0] + b * t + c * t**2 / 2, d + turned[1] + e * t + f * t**2 / 2
@@ -254,7 +254,7 @@ class Whole:
         self.y_2 = xi_2 - p * p * self.xi - turning * self.eta - 2.0 * p * etadot
 
     def bend(self, value: Any) -> tuple[Array, Array]:
-        """Displacement and acceleration in B by the modes, from the shapes `value(shape)` there."""
+        """Return the displacement and acceleration in B by the modes, from the shapes `value(shape)` there."""
         phi = np.array([value(shape) for shape in self.shapes])
         if len(phi) == 0:
             return np.zeros(3), np.zeros(3)
@@ -318,7 +318,7 @@ def loads_on(side: Tree, name: str, w: Whole, now: Any, y: Array, made: Any, shi
 
 
 def expected(w: Whole, now: Any, y: Array, made: Any, shift: tuple[float, float]) -> Array:
-    """The loads at all stations (stations, 5): every particle of the core, and the joints of the boosters."""
+    """Return the loads at all stations (stations, 5): every particle of the core, and the joints of the boosters."""
     x, m = particles(CORE_RODS)
     forces: list[tuple[float, Array, Array]] = []  # station, place and force
     for at, mass in zip(x, m, strict=True):

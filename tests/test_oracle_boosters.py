@@ -51,7 +51,7 @@ def engine(thrust_N: float, burn_s: float, station_m: float, **more: Any) -> Tre
 
 
 def solid(name: str, place: tuple[float, float], ignition_s: float = 0.0, **engines: Any) -> Tree:
-    """A booster of 1000 kg, of which it expels 600 kg in 12 s."""
+    """Return a booster of 1000 kg that expels 600 kg in 12 s."""
     return {
         "name": name,
         "position_m": place,

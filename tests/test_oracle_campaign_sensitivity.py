@@ -36,7 +36,7 @@ def test_first_order_indices_of_ishigamis_function() -> None:
 
 
 def test_first_order_indices_of_sobols_g_function() -> None:
-    """Their variances are 1 / (3 (1 + a)^2) and that of all is the product of 1 + V, less 1 (Sobol', 1993)."""
+    """Input i has the variance V = 1 / (3 (1 + a_i)^2); the total is the product of 1 + V, minus 1 (Sobol', 1993)."""
     a = np.array([0.0, 1.0, 4.5, 9.0, 99.0])
     x = np.random.default_rng(5).random((20_000, len(a)))
     y = np.prod((np.abs(4.0 * x - 2.0) + a) / (1.0 + a), axis=1)

@@ -51,7 +51,7 @@ def brick(earth_rates: bool = False, push=lambda t: NOTHING, twist=lambda t: NOT
 
 
 def differences(flight: Flight, times: Vector, states: list[State]) -> dict[str, float]:
-    """Largest differences of position (m), velocity (m/s), attitude (rad) and inertial rate (rad/s)."""
+    """Return the largest differences of position (m), velocity (m/s), attitude (rad) and inertial rate (rad/s)."""
     rows = np.searchsorted(flight.time_s("altitude_m"), times - 1e-9)
     assert np.abs(flight.time_s("altitude_m")[rows] - times).max() < 1e-9
     worst = dict.fromkeys(("position", "velocity", "attitude", "rate"), 0.0)
@@ -333,7 +333,7 @@ def pull(position: Vector) -> Vector:
 
 
 def attracted(r: Vector, to_inertial: Vector, tensor: Vector) -> Vector:
-    """Moment in B of the attraction of six point masses that have this inertia tensor."""
+    """Return the moment in B of the attraction of six point masses that have this inertia tensor."""
     moments, axes = np.linalg.eigh(0.5 * np.trace(tensor) * np.eye(3) - tensor)
     out = np.zeros(3)
     for moment, axis in zip(moments, axes.T, strict=True):

@@ -45,7 +45,7 @@ def printed_actuator(omega_hz: list[float], zeta: list[float]) -> tuple[Array, A
 
 
 def balanced_step(a: Array, b: Array, time_s: float) -> Array:
-    """State after a unit step; time in units of 1/100 s, so that the companion matrix stays tame."""
+    """Return the state after a unit step, with time in units of 1/100 s to condition the companion matrix well."""
     n = len(b)
     scale = np.diag(100.0 ** np.arange(n - 1, -1, -1.0))
     block = np.zeros((n + 1, n + 1))
@@ -80,7 +80,7 @@ MODELS = {"second-order": 1, "fourth-order": 2, "sixth-order": 4}
 
 
 def modelled(model: str, **more: object) -> dict[str, object]:
-    """Keys of an actuator of this order with the paper's first frequencies."""
+    """Return the keys of an actuator of this order with the paper's first frequencies."""
     n = MODELS[model]
     return {"model": model, "omega_hz": [5.8, 7.2, 52.6, 15.6][:n], "zeta": [0.87, 0.49, 0.15, 0.042][:n], **more}
 
@@ -135,7 +135,7 @@ def test_engine_rests_on_its_stop() -> None:
 
 
 def failing(fault: dict[str, object], **actuator: object) -> Rig:
-    """A step of 2 deg at the start, and a fault of the pitch actuator."""
+    """Return a step of 2 deg at the start, and a fault of the pitch actuator."""
     keys = {"angle_limit_deg": 6.0, "rate_limit_degps": 30.0, **actuator}
     tree = scenario_of(Parts(), injection=command("pitch", STEP_DEG), run={"step_s": 0.0005}, fault=[fault])
     return rig(with_stage(tree, actuator=keys))
@@ -205,7 +205,7 @@ def test_limits_do_nothing_below_them() -> None:
 
 
 def engine_and_servo(made: Rig, duration_s: float, step_s: float) -> tuple[Array, Array]:
-    """Angles (samples, 2) of the pitch engine and of its servo at the starts of the steps, rad."""
+    """Return the angles (samples, 2) of the pitch engine and of its servo at the starts of the steps, rad."""
     run, out = made.run(), []
     for _ in range(round(duration_s / step_s)):
         servo = float(made.y[layout.ACTUATOR])
@@ -399,7 +399,7 @@ def test_play_keeps_the_loop_in_a_limit_cycle() -> None:
 
 
 def cycle(rates: Array, every_s: float) -> tuple[float, float]:
-    """Period and amplitude of the last three cycles."""
+    """Return the period and amplitude of the last three cycles."""
     up = np.flatnonzero((rates[:-1] < 0.0) & (rates[1:] >= 0.0))[-4:]
     times = every_s * (up - rates[up] / (rates[up + 1] - rates[up]))
     return float(times[-1] - times[0]) / 3.0, float(np.abs(rates[up[0] : up[-1]]).max())

@@ -37,7 +37,7 @@ def test_ballistic_arc() -> None:
 
 
 def kepler(r: Array, v: Array, mu: float, time_s: float) -> tuple[Array, Array]:
-    """Position and velocity on an elliptic orbit by Kepler's equation and Lagrange's coefficients."""
+    """Return the position and velocity on an elliptic orbit by Kepler's equation and Lagrange's coefficients."""
     r0, a = float(np.linalg.norm(r)), 1.0 / (2.0 / np.linalg.norm(r) - v @ v / mu)
     n, sigma = math.sqrt(mu / a**3), float(r @ v) / math.sqrt(mu)
 

@@ -110,7 +110,7 @@ def motions(made: Rig, given: list[Tree]) -> list[tuple[Array, ...]]:
 
 
 def newton_euler(made: Rig, given: list[Tree], w: Array) -> tuple[Array, Array]:
-    """Specific force at the core CG and angular acceleration, from the sums over all bodies."""
+    """Return the specific force at the core CG and angular acceleration, from the sums over all bodies."""
     x, y, z = PARTS.core_cg
     rest = []
     for e, (d0, *_) in zip(given, motions(made, given), strict=True):

@@ -75,7 +75,7 @@ def condition_of(packed: Packed) -> FlightCondition:
 
 
 def follow_of(packed: Packed) -> tuple[Array, Array]:
-    """Angles per command of the law (groups, 2), and those of further groups as multiples of the first's."""
+    """Return the angles per command of the law (groups, 2), and those of further groups as multiples of the first's."""
     a = packed.parameters[0].computer.allocation
     matrix = table_in(packed.pool, a.matrix)(TIME_S).reshape(-1, 3)
     gains = np.array([[matrix[2 * g, 0], matrix[2 * g + 1, 1]] for g in range(int(a.groups))])
@@ -163,7 +163,7 @@ SOME = (
 
 
 def command_to_gyro(packed: Packed, y: Array, plane: str) -> tuple[Array, Array]:
-    """Responses at FREQUENCIES_HZ: the simulator's over all its states, and the loop's fixed path."""
+    """Return the responses at FREQUENCIES_HZ: the simulator's over all its states, and the loop's fixed path."""
     model, axis = linearise(packed, y, TIME_S), int(plane == "yaw")
     gains = follow_of(packed)[0]
     drive = sum(gain[axis] * model.b[:, 2 * group + axis] for group, gain in enumerate(gains))

@@ -45,7 +45,7 @@ def tick(flown: Any, time_s: float, increment_rad: Array, gimbal_rad: Array | No
 
 
 def fly(axis: int, sample_ns: int, duration_s: float, **more: Any) -> Array:
-    """Angles, rad, at the samples of q' = M_delta delta, starting at 0 with 0.1 rad/s; commands are held."""
+    """Return the angles, rad, at the samples of q' = M_delta delta, starting at 0 with 0.1 rad/s; commands are held."""
     flown = computer_of(sample_ns, constant(), **more)
     sample_s = sample_ns / 1e9
     angle, rate, delta, angles = 0.0, 0.1, 0.0, [0.0]

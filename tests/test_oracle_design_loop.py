@@ -47,7 +47,7 @@ FREQUENCIES_HZ = np.unique(np.concatenate([np.geomspace(1e-3, 50.0, 60), [9.9, 9
 
 
 def images(node: Node, cut: str, count: int) -> np.ndarray:
-    """Sum of the exact path's response over the images of each frequency."""
+    """Return the sum of the exact path's response over the images of each frequency."""
     path, turn = ExactFixedPath(node, cut), 2.0 * np.pi / node.instruments.sample_s
     if cut != "gimbal_command":  # the sampled path ends in a converter all the same
         s_of = lambda s: path.at(s) * average(s, node.instruments.sample_s)  # noqa: E731  # read once
@@ -243,7 +243,7 @@ def test_closed_loop_is_that_of_the_flight_computer(time_s: float, delay_s: floa
 
 
 def _fly_computer(node: Node, loop: Loop, samples: int, kick: float) -> Array:
-    """Commands in pitch (samples,) after an impulse on the first one."""
+    """Return the commands in pitch (samples,) after an impulse on the first one."""
     plant, timing = SampledFixedPath(node).continuous, node.instruments
     pool = Pool()
     gains = gains_table(GainSchedule([0.0], *([gain] for gain in loop.law.gains.values())))

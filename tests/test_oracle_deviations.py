@@ -63,7 +63,7 @@ def node_of_campaign(name: str, time_s: float, plane: Any = "pitch") -> Node:
 
 
 def packed_as_flown(campaign: LoadedCampaign, run: int, node: Node) -> tuple:
-    """The stage of a node in the scenario of a run, packed as the campaign packs it."""
+    """Return the stage of a node in the scenario of a run, packed as the campaign packs it."""
     packed = pack_flight(campaign.scenario_of(run).scenario)
     held = hold_stage(packed, float(node.held.parameters[0].timeline.frozen_s), node.stage)
     there = dataclasses.replace(held, swing_rad=node.held.swing_rad)
@@ -71,7 +71,7 @@ def packed_as_flown(campaign: LoadedCampaign, run: int, node: Node) -> tuple:
 
 
 def differing(a: Any, b: Any, path: str = "") -> list[str]:
-    """Fields of two records in which they differ by more than rounding."""
+    """Return the fields of two records in which they differ by more than rounding."""
     if a.dtype.names is None:
         return [] if np.allclose(a, b, rtol=1e-12, atol=0.0, equal_nan=True) else [path]
     names = (name for name in a.dtype.names if name not in UNREAD)
@@ -164,7 +164,7 @@ def test_another_seed_and_sampling_are_followed() -> None:
 
 
 def by_name(deviations, name: str, sigmas: float) -> Dispersion:
-    """The vehicle with one deviation alone."""
+    """Return the vehicle with one deviation alone."""
     u = np.zeros(len(deviations.places))
     u[deviations.places.index(name)] = sigmas / 3.0
     return deviations.at(u)

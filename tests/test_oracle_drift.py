@@ -151,7 +151,7 @@ def test_a_delay_of_several_samples_is_that_of_the_exact_loop() -> None:
 
 
 def exact_of_sums(loop: Loop) -> np.ndarray:
-    """The continuous path without images, with the sums of the computer in place of integrals."""
+    """Return the continuous path without images, with the sums of the computer instead of integrals."""
     node, s = loop.fixed.node, 2j * np.pi * HZ
     exact = fixed_path(node, "exact").with_inputs(loop.law.inputs)
     summed = 0.008 / (1.0 - np.exp(-0.008 * s))

@@ -106,7 +106,7 @@ def random_state(rng: np.random.Generator, modes: int, bent_m: float = 0.1, movi
 
 
 def worst(ours: dict[str, Array], theirs: dict[str, Array]) -> float:
-    """Largest difference, each quantity relative to its own largest component."""
+    """Return the largest difference, each quantity relative to its own largest component."""
     errors = [
         float(np.max(np.abs(ours[key] - theirs[key])) / np.max(np.abs(theirs[key]))) for key in ours if theirs[key].size
     ]
@@ -115,7 +115,7 @@ def worst(ours: dict[str, Array], theirs: dict[str, Array]) -> float:
 
 
 def seen(made: Rig, state: State) -> tuple[Array, State]:
-    """The simulator's state vector, and that vector as the oracle's state, rounding of the way there
+    """Return the simulator's state vector, and that vector as the oracle's state, with the rounding of the conversion
     included.
     """
     y = to_simulator(made, state)

@@ -29,7 +29,7 @@ MOVED = Mode(7.0, 500.0, (0.6,) * 6, (0.0,) * 6)  # moves without turning
 
 
 def answer(made: Rig, y: Array | None = None) -> tuple[Array, Array]:
-    """Specific force at the core CG and angular acceleration, both in B."""
+    """Return the specific force at the core CG and angular acceleration, both in B."""
     made.derivative(made.y if y is None else y)
     return made.aux.specific_force_B_mps2.copy(), made.aux.alpha_BI_B_radps2.copy()
 

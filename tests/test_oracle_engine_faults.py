@@ -90,7 +90,7 @@ UNLIKE = [
 
 
 def unlike_clock(times_s: Array) -> Array:
-    """The clock of the tables by SciPy, from flows written out here."""
+    """Return the clock of the tables at given times, integrated by SciPy from the flows written out here."""
 
     def flow(k: int, s: float) -> float:
         if k == 0:

@@ -71,18 +71,18 @@ def vehicle(thrust_N: tuple[float, float], flow_kgps: float, cant_deg: Any) -> T
 
 
 def to_inertial(made: Rig) -> Rotation:
-    """Rotation from north, east, down to I, by the attitude that the scenario gives in both."""
+    """Return the rotation from north, east, down to I, by the attitude that the scenario gives in both."""
     w, x, y, z = made.y[Q_BI : Q_BI + 4]
     return Rotation.from_quat([x, y, z, w]) * Rotation.from_euler("ZYX", EULER_DEG, degrees=True).inv()
 
 
 def share(time_s: float) -> float:
-    """Thrust of the engine lost, as a share of what it had."""
+    """Return the thrust of the lost engine as a share of its nominal thrust."""
     return float(np.clip(1.0 - (time_s - OFF_S) / TAIL_S, 0.0, 1.0))
 
 
 def rates(time_s: float, state: Array, down_I: Array) -> Array:
-    """Time derivative of r_I, v_I, q_BI (x, y, z, w), rate_B and the clock of the tables."""
+    """Return the time derivative of r_I, v_I, q_BI (x, y, z, w), rate_B and the clock of the tables."""
     v, attitude, w, clock = state[3:6], Rotation.from_quat(state[6:10]), state[10:13], state[13]
     on = np.array([share(time_s) if k == LOST else 1.0 for k in range(4)])
     pace = on.mean()

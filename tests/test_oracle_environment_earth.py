@@ -36,7 +36,7 @@ def error(got, exact: mpmath.mpf) -> float:
 
 
 def exact_geodetic(a: float, f: float, p: float, z: float) -> tuple[mpmath.mpf, mpmath.mpf]:
-    """Latitude and altitude of (p, z) by Newton's method on the foot of the normal, in 40 digits."""
+    """Return the latitude and altitude of (p, z) by Newton's method on the foot of the normal, in 40 digits."""
     with mpmath.workdps(40):
         a, f, p, z = map(mpmath.mpf, (a, f, p, z))
         e2 = f * (2 - f)

@@ -40,7 +40,7 @@ def healthy() -> Flight:
 
 
 def measured(flight: Flight, axis: str) -> tuple[Array, Array]:
-    """Times of the samples and the angle measured so far, deg."""
+    """Return the times of the samples and the angle measured so far, deg."""
     return flight.time_s(f"{axis}_measured_deg")[:-1], flight[f"{axis}_measured_deg"][:-1]  # the end is no sample
 
 

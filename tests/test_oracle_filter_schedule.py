@@ -103,7 +103,7 @@ def sampled(filter_: BendingFilter, sample_s: float) -> control.TransferFunction
 
 
 def between(at: float) -> BendingFilter:
-    """The filter of `RISING` at a value, by numpy."""
+    """Return the filter of `RISING` at a value, by numpy."""
 
     def mixed(a: Any, b: Any, key: str) -> float:
         return float(np.interp(at, [1.0, 3.0], [getattr(a, key), getattr(b, key)]))
@@ -127,7 +127,7 @@ def test_a_filter_at_rest_has_the_response_of_python_control(at: float) -> None:
 
 
 def derivative(t: float, x: Array, drive: Any) -> tuple[Array, float]:
-    """The continuous equations at time t: rates of the states, and the output."""
+    """Return the continuous equations at time t: rates of the states, and the output."""
     filter_, u, dx = between(t), drive(t), []
     for i, q in enumerate(filter_.quadratic):
         w, r = 2 * np.pi * q.pole_hz, q.pole_hz / q.zero_hz
@@ -388,7 +388,7 @@ def test_the_change_of_the_response_is_that_of_the_continuous_equations(hz: floa
 
 
 def ascent(change_s: float) -> dict[str, Any]:
-    """A notch that follows KSR-III's first mode, with its whole change within `change_s` before 40 s."""
+    """Return a notch that follows KSR-III's first mode, with its whole change within `change_s` before 40 s."""
     first, last = ({"zero_hz": hz, "zero_zeta": 0.3, "pole_hz": 0.7 * hz, "pole_zeta": 0.6} for hz in (9.3, 11.0))
     return section({"time_s": 40.0 - change_s, "quadratic": (first,)}, {"time_s": 40.0, "quadratic": (last,)})
 

@@ -46,7 +46,7 @@ def discretize(bending: BendingFilter, method: str) -> object:
 
 
 def transfer_function(bending: BendingFilter) -> control.TransferFunction:
-    """The same filter written again from eqs 37-41."""
+    """Return the same filter, written independently from eqs 37 to 41."""
     s = control.tf("s")
     out = control.tf(1, 1)
     for q in bending.quadratic:

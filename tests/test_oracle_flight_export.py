@@ -130,7 +130,7 @@ prewarp_hz = 9.0
 
 
 def built(folder: Path, design: str, *more: str, single: bool = False) -> Path:
-    """The exported law as a library, after its unit test has passed. Warnings are errors."""
+    """Return the exported law as a library, after its unit test has passed. Warnings are errors."""
     assert simdesign.main(["export", design, "--c", str(folder / "law"), *more]) == 0
     flags = [*STRICT, *(["-DLAW_FLOAT"] if single else [])]
     sources = [folder / "law" / name for name in ("flight_law.c", "flight_law_tables.c")]

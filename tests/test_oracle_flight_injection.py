@@ -55,7 +55,7 @@ def injected(form: int, *, replaces: int = 0, table=NO_TABLE) -> Any:
 
 
 def expected(form: int, since: Array) -> Array:
-    """A signal of amplitude 1, `since` its start."""
+    """Return a signal of amplitude 1 at the time `since` its start."""
     length = 1e-9 * (STOP_NS - START_NS)
     if form == injection.SINE:
         return np.sin(2.0 * np.pi * 0.75 * since)

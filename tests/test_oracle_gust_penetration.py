@@ -43,7 +43,7 @@ ON = {"switches": {"gust_penetration": True, "bending_softening": False}}
 
 
 def in_wind(aero: Tree, parts: Parts = PARTS, wind: Tree | None = None, **changes: Any) -> Rig:
-    """The vehicle along its own axis through gust and profile, over a flat Earth."""
+    """Return the vehicle along its own axis through gust and profile, over a flat Earth."""
     ahead = SPEED * attitude()[:, 0]
     start = {
         "euler_deg": list(EULER_DEG),
@@ -56,7 +56,7 @@ def in_wind(aero: Tree, parts: Parts = PARTS, wind: Tree | None = None, **change
 
 
 def attitude() -> Array:
-    """Axes of B in north, east, down, as columns: yaw, pitch, roll in turn."""
+    """Return the axes of B in north, east, down, as columns: yaw, pitch, roll in turn."""
     yaw, pitch, roll = np.radians(EULER_DEG)
     turns = []
     for angle, k in ((yaw, 2), (pitch, 1), (roll, 0)):
@@ -70,7 +70,7 @@ def attitude() -> Array:
 
 
 def wind_at(altitude: float) -> Array:
-    """Motion of the air, north, east, down."""
+    """Return the motion of the air, north, east, down."""
     height = altitude - GUST["altitude_m"]
     share = (
         0.5 - 0.5 * math.cos(2 * math.pi * height / GUST["thickness_m"]) if 0 < height < GUST["thickness_m"] else 0.0
@@ -291,7 +291,7 @@ AXIAL, DAMPING, TILT_DEG = 0.4, -60.0, 75.0
 
 
 def wall_mps(altitude: float) -> float:
-    """North component of the wind: raised cosines at the edges, constant between them."""
+    """Return the north component of the wind: raised cosines at the edges, constant between them."""
     total = 0.0
     for beginning, thickness, edge, speed in WALLS:
         inside = min(altitude - beginning, beginning + thickness - altitude)

@@ -60,7 +60,7 @@ void maxq_fsw_close(void *self) { (void)self; }
 
 
 def library(folder: Path, watched: str = "0.0", tested: str = "last != now", static: int = 0) -> Path:
-    """A library whose gain is 1.8 times that of the design, and 1 where it finds itself tested."""
+    """Return a library whose gain is 1.8 times that of the design, and 1 when it detects a test."""
     source, name = folder / "law.c", f"law{abs(hash((watched, tested, static)))}"
     source.write_text(LAW, encoding="utf-8")
     words = (f"-DWATCHED=({watched})", f"-DTESTED=({tested})", f"-DSTATIC={static}")
@@ -76,7 +76,7 @@ def held(of: LoadedScenario, time_s: float = NODE_S) -> HeldFlight:
 
 
 def gain_of(code: Path | str, key: str = "library") -> float:
-    """Measured L of flight code relative to the design's loop, the mean over three lines."""
+    """Return the measured L of flight code relative to the design's loop, the mean over three lines."""
     at, design = held(loaded(code, key, EARLY), EARLY_S), load_scenario("nominal").design
     assert design is not None
     loop = maxq.loops([at.node], design)[0]

@@ -29,7 +29,7 @@ FREE = slice(None, -2)  # of the finite elements: all nodes but the tail
 
 
 def on_the_pad(count: int, pitch_deg: float = 90.0, **sections: Any) -> Tree:
-    """The beam's first modes in pitch, clamped at the tail, where the engine has its gimbal."""
+    """Return the beam's first modes in pitch, clamped at the tail, where the engine has its gimbal."""
     site = {
         "initial": {"held": True, "euler_deg": [0.0, pitch_deg, 0.0]},
         "holddown": {"release": "time", "release_s": 0.3, "clamped": True},
@@ -42,7 +42,7 @@ def on_the_pad(count: int, pitch_deg: float = 90.0, **sections: Any) -> Tree:
 
 
 def tilted(q: Array, angle: float) -> Array:
-    """A quaternion after a rotation about the body's y axis."""
+    """Return a quaternion after a rotation about the body's y axis."""
     (w, x, y, z), c, s = q, math.cos(0.5 * angle), math.sin(0.5 * angle)
     return np.array([w * c - y * s, x * c - z * s, w * s + y * c, x * s + z * c])
 
@@ -57,19 +57,19 @@ class Clamped:
         self.phi, self.slope = phi, slope
 
     def acceleration(self, eta: Array) -> Array:
-        """Accelerations of the modes at these coordinates, at rest."""
+        """Return the accelerations of the modes at these coordinates, at rest."""
         y, place = self.made.packed.state, of_modes(self.made)
         y[place] = eta
         y[layout.Q_BI : layout.Q_BI + 4] = tilted(self.q, -self.slope[:, -1] @ eta)
         return evaluate_at(self.made.packed, y, 0.0).rate[place.stop : place.stop + len(eta)].copy()
 
     def stiffness(self) -> Array:
-        """The change of the accelerations per coordinate (count, count)."""
+        """Return the derivatives of the accelerations by the coordinates (count, count)."""
         units = 1e-3 * np.eye(len(self.phi))
         return np.stack([self.acceleration(unit) - self.acceleration(-unit) for unit in units], axis=1) / 2e-3
 
     def shape(self, eta: Array) -> Array:
-        """Deflection of the nodes relative to the tail."""
+        """Return the deflection of the nodes relative to the tail."""
         bent, turned = eta @ self.phi, eta @ self.slope
         return np.asarray(bent - bent[-1] - turned[-1] * (a_beam().x - LENGTH_M))
 

@@ -103,7 +103,7 @@ IDEAL = (  # converters, DAC and roll thrusters know steps only: their scatter w
 
 
 def expected(d: Array, h: float) -> list[Array]:
-    """The matrices of a block, from the exponential of a larger matrix (Sidje, ACM TOMS 24, 1998, 130)."""
+    """Return the matrices of a block, from the exponential of a larger matrix (Sidje, ACM TOMS 24, 1998, 130)."""
     n = len(d)
 
     def phi(t: float) -> list[Array]:
@@ -155,7 +155,7 @@ def test_matrices_of_an_actuator(model: str, act_on: str) -> None:
 
 
 def functions_of(d: Array, h: float) -> Array:
-    """The seven matrices of a block, by the simulator."""
+    """Return the seven matrices of a block, by the simulator."""
     n, kept = len(d), np.zeros(7 * 36 + 72)
     kept[: n * n] = d.ravel()
     _put_functions(kept, 0, n, h, 7 * 36)

@@ -58,7 +58,7 @@ VEHICLE_STATES = 3 + 2 * (MODES + TANKS)
 
 
 def plane_states(plane: str, tvc_load: bool = False) -> list[str]:
-    """The simulator's coordinates in the order of the model's states of the vehicle and the gyro."""
+    """Return the simulator's coordinates in the order of the model's states of the vehicle and the gyro."""
     bend, motion = "eta", ["w_mps", "q_radps", "theta_rad"]
     if plane == "yaw":
         bend, motion = "xi", ["v_mps", "r_radps", "psi_rad"]
@@ -79,7 +79,7 @@ class Node:
     model: StateSpace
 
     def block(self, plane: str) -> StateSpace:
-        """The simulator's coordinates of one plane alone."""
+        """Return the simulator's coordinates of one plane alone."""
         s = self.simulated
         names = plane_states(plane, "tvc_load_1_pitch_rad" in s.states)
         i = [s.states.index(name) for name in names]
@@ -126,7 +126,7 @@ def flight() -> Flight:
 
 
 def flat_earth(flight: Flight, time_s: float, *overrides: str) -> tuple[Packed, FlightCondition]:
-    """A start at the nominal flight's speed, altitude and path angle, body on the path; and its air."""
+    """Return a start at the nominal flight's speed, altitude and path angle, body on the path; and its air."""
     row = int(np.argmin(np.abs(flight.time_s("airspeed_mps") - time_s)))
     speed, altitude, path_deg = (float(flight[name][row]) for name in ("airspeed_mps", "altitude_m", "flight_path_deg"))
     path = np.radians(path_deg)
@@ -167,14 +167,14 @@ def nodes(flight: Flight) -> dict[int, Node]:
 
 
 def pole_differences(ours: np.ndarray, theirs: np.ndarray) -> Array:
-    """Relative distance of each of `ours` to its own one of `theirs`."""
+    """Return the relative distance of each of `ours` to its own one of `theirs`."""
     distance = np.abs(ours[:, None] - theirs[None, :]) / np.abs(ours)[:, None]
     pairs = scipy.optimize.linear_sum_assignment(distance)
     return np.asarray(distance[pairs])
 
 
 def vehicle_pole_groups(node: Node) -> dict[str, Array]:
-    """Pole differences of the vehicle alone, by what swings: in rising order of magnitude at every node."""
+    """Return the pole differences of the vehicle alone, by what swings: in rising order of magnitude at every node."""
     n = VEHICLE_STATES
     ours = np.linalg.eigvals(node.model.a[:n, :n])
     ours = ours[np.argsort(np.abs(ours))]
@@ -392,7 +392,7 @@ def test_complete_mass_flow_is_that_of_the_frozen_liquid(flight: Flight, time_s:
 
 
 def _rate_damping_in_vacuum(packed: Packed, condition: FlightCondition) -> float:
-    """Rate q'/q at which mass flow damps, 1/s, bobs locked by dampers: the pole that is not 0 nor fast."""
+    """Return the rate q'/q (1/s) at which mass flow damps, bobs locked by dampers: the pole neither 0 nor fast."""
     vehicle = vehicle_at(packed, condition.time_s, condition.mach)
     dampers = np.full_like(vehicle.pendulums.damping_ratio, 1e7)
     locked = dataclasses.replace(vehicle, pendulums=dataclasses.replace(vehicle.pendulums, damping_ratio=dampers))

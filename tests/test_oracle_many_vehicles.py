@@ -63,7 +63,7 @@ def margins_in(values: NDArray[np.void]) -> Array:
 
 
 def compared(node: Node, law: Controller, every: list[Dispersion]) -> tuple[Array, int, int]:
-    """Largest differences of each margin, how many vehicles are unstable, and how many are handed back."""
+    """Return the largest differences of each margin, how many vehicles are unstable, and how many are handed back."""
     values, status = ManyLoops(node, law).measure(every, -6.0)
     worst, unstable = np.zeros(len(SWEPT)), 0
     for by, row, found in zip(every, margins_in(values), status, strict=True):

@@ -35,7 +35,7 @@ SPREAD = Spread()
 
 @cache
 def random_loop(seed: int) -> Loop:
-    """A dispersed vehicle at a node of the nominal flight, with gains up to a factor of ten about and any F4."""
+    """Return the loop of a dispersed vehicle at a node, with gains scaled by a factor of up to ten and a random F4."""
     rng = np.random.default_rng([2, seed])
     nodes = design_nodes.flown()
     node = nodes[rng.integers(len(nodes))]
@@ -112,7 +112,7 @@ def test_the_least_distance_at_frequency_zero_is_that_of_60_digits(seed):
 
 
 def dense(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies and L by a linear system at each, close to every pole of L and of the closed loop.
+    """Return the frequencies and L by a linear system at each, close to every pole of L and of the closed loop.
 
     (By partial fractions of the whole realisation L is wrong by a factor of two where it is small: poles of filter and
     actuator lie close together.)

@@ -32,7 +32,7 @@ def real(rng: np.random.Generator, top: float) -> float:
 
 
 def dense(loop: ZpkLoop) -> Array:
-    """Frequencies (Hz), close to every pole and zero, with the extremes of |L| among them."""
+    """Return the frequencies (Hz), close to every pole and zero, with the extremes of |L| among them."""
     end = 100.0 if loop.sample_s is None else loop.highest_hz * (1.0 - 1e-3)
     known = np.concatenate([loop.poles, loop.zeros])
     near = [(p.imag + abs(p.real) * np.linspace(-4.0, 4.0, 401)) / (2.0 * np.pi) for p in known if p.imag > 0.0]

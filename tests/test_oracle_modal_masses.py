@@ -57,7 +57,7 @@ def carried(move: Array, turn: Array, *, engines: bool) -> tuple[Array, Array, A
 
 
 def modes_and_shares(*, engines: bool) -> tuple[Array, Array, Array]:
-    """Displacements and rotations of the modes, and the shares A_ij of mode i in the turned mode j."""
+    """Return the displacements and rotations of the modes, and the shares A_ij of mode i in the turned mode j."""
     move, turn = fields()
     weight, motion, _ = carried(move, turn, engines=engines)
     gram = np.einsum("w,aws,bws->ab", weight, motion, motion)

@@ -100,7 +100,7 @@ def random_load(rng: np.random.Generator, n_pairs: int = 0) -> Load:
 
 
 def worst(a: dict[str, Floats], b: dict[str, Floats]) -> float:
-    """Largest difference over the quantities both hold, each relative to its own largest component."""
+    """Return the largest difference over the quantities both hold, each relative to its own largest component."""
     errors = [
         float(np.max(np.abs(a[key] - b[key])) / np.max(np.abs(a[key])))
         for key in a.keys() & b.keys()
@@ -309,7 +309,7 @@ def test_answer_does_not_depend_on_gravitation_or_on_the_inertial_frame() -> Non
 
 
 def energy_by_hand(vehicle: Vehicle, state: State) -> float:
-    """Kinetic energy of the brief, typed a second time without SymPy, matrices or pieces."""
+    """Return the kinetic energy of the brief, typed a second time without SymPy, matrices or pieces."""
     w, v = state.w_BI_B_radps, state.C_IB.T @ state.v_I_mps
     nu_eta, nu_xi = state.etadot_mps + w[0] * state.xi_m, state.xidot_mps - w[0] * state.eta_m
     total = 0.5 * vehicle.mass_kg * (v @ v) + 0.5 * (w @ vehicle.inertia_B_kgm2 @ w)

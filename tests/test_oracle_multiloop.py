@@ -30,7 +30,7 @@ GYRO, ACTUATOR = (60.0, 0.65), (7.0, 0.7)
 
 @cache
 def spinning() -> Multiloop:
-    """A rigid vehicle in empty space that spins, three engines, roll by their gimbals."""
+    """Return a spinning rigid vehicle in empty space with three engines, whose gimbals control roll."""
     engines = [
         {
             "table": [{"time_s": 0.0, "thrust_vacuum_N": THRUST_N}],

@@ -288,7 +288,7 @@ def test_phase_1_is_the_lowest_pair_of_lines() -> None:
 
 
 def penalised(p) -> Callable[[Array], float]:
-    """The same problem without gradients: exact responses, crossings by interpolation, limits as a penalty."""
+    """Return the same problem without gradients: exact responses, crossings by interpolation, limits as a penalty."""
     plants = kit.all_nodes()
     grids = [plants.curves.frequency_hz[plants.curves.plant == i] for i in range(len(plants))]
     parts = [(x.path.response(f), x.path.integrator(f)) for x, f in zip(plants.each, grids, strict=True)]

@@ -81,7 +81,7 @@ class Burn:
 
 
 def begun() -> tuple[Array, Array]:
-    """Position and velocity where an upper stage takes over, at 57 deg north."""
+    """Return the position and velocity where an upper stage takes over, at 57 deg north."""
     up = np.array([math.cos(1.0), 0.0, math.sin(1.0)])
     north, east = np.cross(up, [0.0, 1.0, 0.0]), np.array([0.0, 1.0, 0.0])
     v = 2300.0 * (math.cos(1.2) * east + math.sin(1.2) * north) + 900.0 * up
@@ -89,7 +89,7 @@ def begun() -> tuple[Array, Array]:
 
 
 def flown(burn: Burn) -> tuple[float, Array, OrbitGuidanceState]:
-    """Time of the cutoff, position and velocity there; thrust exactly along what is commanded."""
+    """Return the time of the cutoff, position and velocity there; thrust exactly along what is commanded."""
     g, state = pack([burn.guidance()])[0], blank(OrbitGuidanceState)[0]
     start(state)
     (r, v), t = begun(), 0.0
@@ -109,7 +109,7 @@ def flown(burn: Burn) -> tuple[float, Array, OrbitGuidanceState]:
 
 
 def heights(burn: Burn, y: Array) -> tuple[float, float]:
-    """Least and largest height over the equatorial radius, of one revolution without J2."""
+    """Return the least and largest height over the equatorial radius, of one revolution without J2."""
     kepler = replace(burn, j2=0.0)
     flight = solve_ivp(
         lambda _, x: np.concatenate([x[3:], kepler.gravitation(x[:3])]),
@@ -183,7 +183,7 @@ def test_the_cut_off_leaves_the_orbit_wanted(burn: Burn) -> None:
 
 
 def optimal_s(burn: Burn, guess: Array) -> float:
-    """Shortest burn to perigee, in the plane of the start, without J2: thrust along the primer
+    """Return the shortest burn to perigee, in the plane of the start, without J2: thrust along the primer
     vector p, p'' = G p. `guess`: direction of thrust, its rate 1/s (2 each, in the axes of `plane`), time s."""
     r, v = begun()
     normal = np.cross(r, v) / np.linalg.norm(np.cross(r, v))

@@ -82,7 +82,7 @@ def test_command_is_the_sum_of_three_terms_behind_the_filter() -> None:
 
 
 def closed(gains: GainSchedule, torque: Any, **more: Any) -> Array:
-    """Angle of q' = 9 delta + torque(t) at the samples."""
+    """Return the angle of q' = 9 delta + torque(t) at the samples."""
     ticked, rate, angle, delta, angles = Ticked(gains, **more), 0.0, 0.0, 0.0, []
     for n in range(6000):
         accel = 9.0 * delta + torque(T * n)
@@ -105,7 +105,7 @@ def test_a_constant_torque_leaves_no_error_standing() -> None:
 
 
 def wound_up(gains: GainSchedule, torque: Any, limit_rad: float) -> Array:
-    """The same closed loop with a sum that runs on while the command is cut."""
+    """Return the same closed loop with a sum that continues while the command is limited."""
     rate, angle, delta, total, angles = 0.0, 0.0, 0.0, 0.0, []
     for n in range(6000):
         accel = 9.0 * delta + torque(T * n)

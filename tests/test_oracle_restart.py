@@ -204,7 +204,7 @@ TANK: Tree = {
 
 
 def settled_deg(settling_s: float) -> float:
-    """Largest angle of the bob in the second burn, after a coast in which the vehicle turned by 45 deg."""
+    """Return the largest angle of the bob in the second burn, after a coast in which the vehicle turned by 45 deg."""
     coast: dict[str, Any] = {"coast_s": 100.0, "settling_s": settling_s, "settling_thrust_N": 400.0}
     last = {"cutoff": {"inertial_speed_mps": 7900.0}}
     k = math.sqrt(0.5)

@@ -75,7 +75,7 @@ def test_any_motion_is_worth_the_swing_that_takes_as_much_work() -> None:
 
 
 def test_small_motion_on_a_large_swing() -> None:
-    """Slope of |v|^(1/2) v along v is 3/2 |v|^(1/2), across it |v|^(1/2): averages over the swing's turn."""
+    """The slope of |v|^(1/2) v is 3/2 |v|^(1/2) along v and |v|^(1/2) across v, averaged over one cycle."""
     mean = quad(lambda x: abs(math.cos(x)) ** 0.5, 0.0, 2.0 * math.pi)[0] / (2.0 * math.pi)
     own = quad(lambda x: abs(math.cos(x)) ** 2.5, 0.0, 2.0 * math.pi)[0] / math.pi
     assert 1.5 * mean / own == pytest.approx(5.0 / 4.0, rel=1e-6)

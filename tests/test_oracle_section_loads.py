@@ -141,13 +141,13 @@ def a_beam(axial_N: Array | float = 0.0) -> Beam:
 
 
 def forward_kg(beam: Beam) -> Array:
-    """Mass forward of each node, its own point included."""
+    """Return the mass forward of each node, its own point included."""
     of_elements = np.concatenate([[0.0], np.cumsum(beam.density_kgpm * np.diff(beam.x))])
     return np.asarray(of_elements + np.cumsum(beam.point_kg))
 
 
 def beam_vehicle(beam: Beam, modes: int, stations: Array, **sections: Any) -> Tree:
-    """The beam's first modes in pitch, its mass as rods and a point."""
+    """Return the beam's first modes in pitch, its mass as rods and a point."""
     omega, mass, phi, slope = beam.modes(modes)
     ends = beam.x[[0, 80, 180, 240]]
     rods = [
@@ -260,7 +260,7 @@ BOTH = Parts(
 
 
 def all_at_once() -> Tree:
-    """A slender core of two rods, and its engine as a point behind the gimbal; tanks whose liquid is all bob."""
+    """Return a slender core of two rods with a point engine aft of the gimbal; all liquid is in the pendulum bobs."""
     engine_kg, gimbal, arm = BOTH.engine_mass_kg, BOTH.gimbal_station_m, BOTH.engine_cg_m
     ends, kg = (0.5, 6.0, 12.0), np.array([1500.0, BOTH.core_mass_kg - 1500.0 - engine_kg, engine_kg])
     at = np.array([3.25, 9.0, gimbal + arm])
@@ -340,7 +340,7 @@ def test_what_is_forward_of_the_gimbal_balances_what_is_behind_it() -> None:
 
 
 def thrust_axis(angles: Array) -> tuple[Array, Array, Array]:
-    """Axis of the thrust and its derivatives, by finite differences in time of its definition."""
+    """Return the axis of the thrust and its derivatives, by finite differences in time of its definition."""
 
     def axis(t: float) -> Array:
         p, y = angles @ np.array([1.0, t, 0.5 * t * t])
@@ -353,6 +353,6 @@ def thrust_axis(angles: Array) -> tuple[Array, Array, Array]:
 
 
 def composed_core_cg() -> float:
-    """Station of the core's CG of `all_at_once`."""
+    """Return the station of the core's CG of `all_at_once`."""
     kg = np.array([1500.0, BOTH.core_mass_kg - 1500.0 - BOTH.engine_mass_kg, BOTH.engine_mass_kg])
     return float(kg @ np.array([3.25, 9.0, BOTH.gimbal_station_m + BOTH.engine_cg_m]) / kg.sum())

@@ -87,7 +87,7 @@ def turning() -> Rig:
 
 
 def sensor_motion(y: Array) -> tuple[Array, Rotation]:
-    """Velocity of the sensor in I, and attitude of its axes, from the state alone."""
+    """Return the velocity of the sensor in I, and attitude of its axes, from the state alone."""
     body = Rotation.from_quat(np.roll(y[layout.Q_BI : layout.Q_BI + 4], -1))
     w = y[layout.W_BI_B : layout.W_BI_B + 3]
     eta, nu, xi, nu_yaw = y[layout.N_FIXED : layout.N_FIXED + 4]

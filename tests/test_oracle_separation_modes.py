@@ -33,7 +33,7 @@ class Piece:
 
     @property
     def rigid(self) -> Array:
-        """Fields of a displacement and of a rotation about the nose."""
+        """Return the fields of a displacement and of a rotation about the nose."""
         out = np.zeros((2 * len(self.nodes_m), 2))
         out[0::2, 0], out[0::2, 1], out[1::2, 1] = 1.0, self.nodes_m, 1.0
         return out
@@ -56,7 +56,7 @@ class Piece:
         return np.concatenate([[0.0], np.cumsum(self.density_kgpm * np.diff(self.nodes_m))])
 
     def modes(self) -> tuple[Array, Array]:
-        """Frequencies (rad/s) and shapes by columns, all that bend; the largest displacement is 1."""
+        """Return the frequencies (rad/s) and shapes by columns, all that bend; the largest displacement is 1."""
         squares, shapes = eigh(self.stiffness, self.mass)
         shapes = shapes[:, 2:] / np.abs(shapes[0::2, 2:]).max(axis=0)
         return np.sqrt(squares[2:]), shapes
@@ -76,7 +76,7 @@ class Piece:
 
 
 def piece(length_m: float) -> Piece:
-    """The front `length_m` of a beam whose weight and stiffness change along it."""
+    """Return the front `length_m` of a beam whose weight and stiffness change along it."""
     h = LENGTH_M / ELEMENTS
     count = round(length_m / h)
     x = h * np.arange(count + 1)
@@ -154,7 +154,7 @@ def turning(q: Array) -> Array:
 
 
 def points(y: Array, beam: Piece) -> tuple[Array, Array]:
-    """Places and velocities of a beam's nodes in I: C + R (r + u), v + R (w x (r + u) + du/dt)."""
+    """Return the places and velocities of a beam's nodes in I: C + R (r + u), v + R (w x (r + u) + du/dt)."""
     phi, x = beam.modes()[1][0::2, :MODES], beam.nodes_m
     eta, nu, xi, nu_xi = (y[ETA + k * MODES : ETA + (k + 1) * MODES] for k in range(4))
     w, zero, rotation = y[W_BI_B : W_BI_B + 3], np.zeros_like(x), turning(y[Q_BI : Q_BI + 4])
@@ -214,7 +214,7 @@ def test_the_front_part_moves_on_as_finite_elements_do() -> None:
 
 
 def part(beam: Piece, table: ModeTable | SpatialModeTable | None = None, planar: bool = True) -> StageModes:
-    """The beam's modes in both planes, or as spatial modes."""
+    """Return the beam's modes in both planes, or as spatial modes."""
     omega, shapes = beam.modes()
     shapes = shapes[:, :MODES].T
     mass = np.array([[shape @ beam.mass @ shape for shape in shapes]])

@@ -52,7 +52,7 @@ def advice(loaded: LoadedScenario, held):
 
 
 def _edge_hz(held, share: float) -> tuple[float, float]:
-    """Frequency (Hz) and growth (1/s) of the linear loop with a share of the damping that the tank has."""
+    """Return the frequency (Hz) and growth (1/s) of the linear loop with a share of the damping that the tank has."""
     assert held.loaded.design is not None
     weak = disperse(held.node, Dispersion(slosh_damping=(1.0, share)))
     poles = maxq.loops([weak], held.loaded.design)[0].closed_poles()

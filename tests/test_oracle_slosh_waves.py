@@ -62,7 +62,7 @@ def swinging(start: tuple[float, float], **tank: Any) -> Rig:
 
 
 def amplitudes(made: Rig, duration_s: float) -> tuple[float, float]:
-    """Swing at the start and at the end, from position and rate."""
+    """Return the swing at the start and at the end, from position and rate."""
     i = int(layout.pendulum_index(made.sizes, 0))
     states = flown(made, duration_s)
     out = [math.hypot(*y[i + 1 : i + 3], *(y[i + 4 : i + 6] / OMEGA)) for y in states]

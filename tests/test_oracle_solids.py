@@ -45,7 +45,7 @@ GANNET = Path(__file__).parent.parent / "scenarios" / "layouts" / "gannet.toml"
 
 
 def stack(number: int, *changes: str) -> Stack:
-    """A stage of the layout."""
+    """Return a stage of the layout."""
     return stacks(load_file(Layout, "layout", GANNET, changes)[0])[number]
 
 

@@ -93,7 +93,7 @@ def spatial_section(
 
 
 def as_spatial(parts: Parts, angle: float = 0.0) -> tuple[Tree, Parts]:
-    """The pairs of `parts` as spatial modes (first of each pair: the pitch plane turned by `angle` about x)."""
+    """Return the pairs of `parts` as spatial modes (first of each pair: the pitch plane turned by `angle` about x)."""
     c, s = np.cos(angle), np.sin(angle)
     modes = []
     for pitch, yaw in zip(parts.pitch, parts.yaw, strict=True):
@@ -115,7 +115,7 @@ def turning(n: int, angle: float) -> Array:
 
 
 def spatial_state(made: Rig, planar: Rig, y: Array, angle: float) -> Array:
-    """The state of the vehicle with planar modes as that of the one with turned spatial modes."""
+    """Return the state of the vehicle with planar modes as that of the one with turned spatial modes."""
     n, first = int(planar.sizes.pitch_modes), int(layout.eta_index(planar.sizes))
     turn = turning(n, angle)
     eta, nu, xi, nu_yaw = y[first : first + 4 * n].reshape(4, n)
@@ -209,7 +209,7 @@ def rod(component: int, yaw_rad: float = 0.0, stage: Tree | None = None, **engin
 
 
 def wave(time_s: float, impedance: float, strength: float) -> tuple[float, float]:
-    """Displacement of the end on which a step acts, and of the far end, before the echo of the echo."""
+    """Return the displacement of the end on which a step acts, and of the far end, before the echo of the echo."""
     travel = LENGTH_M / SPEED_MPS
     rate = strength / impedance
     return rate * (time_s + 2 * max(time_s - 2 * travel, 0.0)), 2 * rate * max(time_s - travel, 0.0)
@@ -241,7 +241,7 @@ def test_a_torque_step_travels_as_a_torsion_wave(share: float) -> None:
 
 
 def _truncated(strength: float, inertia: float) -> float:
-    """Sum of what the modes from the thirteenth on could add: 2 F / (m w^2) (1 - cos) each."""
+    """Return the sum of what the modes from the thirteenth on could add: 2 F / (m w^2) (1 - cos) each."""
     omega = np.pi * SPEED_MPS / LENGTH_M * np.arange(13, 20000)
     return float((2.0 * strength / inertia / omega**2 * 2.0).sum())
 
@@ -306,7 +306,10 @@ def test_axial_force_of_a_rod_that_vibrates_and_of_one_that_is_pushed() -> None:
 
 
 def test_section_loads_of_coupled_modes_are_those_of_particles() -> None:
-    """Six modes that move along all axes at once, rolling, pushed off the axis: Newton's law for the part forward."""
+    """Compare the section loads with Newton's law for the particles forward of each station.
+
+    The vehicle rolls, its thrust is off the axis, and six modes move along all axes at once.
+    """
     rng = np.random.default_rng(31)
     mass, x, lateral = particles(rng)
     axial = np.linalg.qr(np.sqrt(mass)[:, None] * np.stack([np.ones(15), x, x**2], axis=1))[0][:, 1:]
@@ -358,7 +361,7 @@ def test_section_loads_of_coupled_modes_are_those_of_particles() -> None:
 
 # --- a core made of particles
 def particles(rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Masses (N,), places x of B (N,) and four lateral shapes (4, N, 3), orthogonal to 1, x and each other.
+    """Return the masses (N,), places x of B (N,) and four lateral shapes (4, N, 3), orthogonal to 1, x and each other.
 
     Two pairs whose planes are mixed: with the turned ones they are a closed set, of unlike frequencies.
     """
@@ -432,7 +435,7 @@ def coupled(rng: np.random.Generator) -> list[tuple[float, float, float, Array]]
 
 
 def constants(y: Array, made: Rig, modes: list[tuple[float, float, float, Array]], share: Array) -> Array:
-    """Energy, linear and angular momentum (in I, about its origin) of core, modes and bobs."""
+    """Return the energy, linear and angular momentum (in I, about its origin) of core, modes and bobs."""
     n, first = len(modes), int(layout.spatial_index(made.sizes))
     c_ib = rotation_from_quaternion(y[layout.Q_BI : layout.Q_BI + 4])
     w, v = y[layout.W_BI_B : layout.W_BI_B + 3], c_ib.T @ y[layout.V_I : layout.V_I + 3]
@@ -597,7 +600,7 @@ def test_modes_of_both_planes_in_incidence_feel_each_others_flow(trim_deg: tuple
 
 
 def both_planes(theirs, modes: int, loaded: bool = False) -> Array:
-    """State matrix in the order of the plant's states, yaw in its mirrored axes."""
+    """Return the state matrix in the order of the plant's states, yaw in its mirrored axes."""
 
     def swinging(plane: str) -> list[str]:
         engine = [f"tvc_load_1_{plane}_{what}" for what in ("rad", "rate_radps") if loaded]
@@ -627,7 +630,7 @@ def stiff(factor: float, along: Callable[[int, float], float]) -> tuple[Tree, Pa
 
 
 def plant_and_simulator(section: Tree, rest: Parts, **stage: Any) -> tuple[Array, Array]:
-    """State matrices of both planes, about the deflection under the loads of the instant."""
+    """Return the state matrices of both planes, about the deflection under the loads of the instant."""
     packed, condition = ascending(section, rest, **stage)
     state, n = settled(packed, zero_incidence(packed, packed.state), 0.0), len(section["damping_ratio"])
     plant = vehicle_plant(vehicle_at(packed, 0.0, condition.mach), condition)

@@ -96,7 +96,7 @@ def test_burn_out_and_separation_at_one_instant_are_both_events() -> None:
 
 
 def split(pieces: tuple[float, ...], continues: bool = True) -> Flight:
-    """A vehicle with a tank, an actuator and a mode, flown as one stage or cut into several at these times."""
+    """Return a vehicle with a tank, an actuator and a mode, flown as one stage or cut into several at these times."""
     ends = (*pieces, 20.0)
 
     def stage(begin: float, end: float, last: bool) -> dict[str, Any]:

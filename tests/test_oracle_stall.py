@@ -59,7 +59,7 @@ def engines(count: int, stall_Nm: tuple[float, float] = STALL_Nm, heavier_kg: fl
 
 
 def by_scipy(stall_Nm: float, start: float) -> Array:
-    """Angle and rate of actuator and engine (4, samples) every 0.1 s, from rest at `start` (rad).
+    """Return the angle and rate of actuator and engine (4, samples) every 0.1 s, from rest at `start` (rad).
 
     The command comes 3 ms after the first sample of 10 ms.
     """

@@ -25,7 +25,7 @@ values = st.one_of(st.floats(-1e6, 1e6), st.sampled_from([0.0, 1.0, -1.0]))  # f
 
 @st.composite
 def tables(draw: st.DrawFn) -> tuple[Array, Array, Array]:
-    """Breakpoints (n,), and two tables (n, 3) over them."""
+    """Return the breakpoints (n,), and two tables (n, 3) over them."""
     x = np.cumsum([draw(st.floats(-1e3, 1e3)), *draw(steps)])
     rows = st.lists(st.tuples(values, values, values), min_size=len(x), max_size=len(x))
     return x, np.array(draw(rows)), np.array(draw(rows))

@@ -78,7 +78,7 @@ def rates(_time: float, state: Array, thrust_N: float) -> Array:
 
 
 def stage() -> Tree:
-    """The parts as a stage whose one tank has both modes."""
+    """Return the parts as a stage whose one tank has both modes."""
     mass, cg, inertia = composed(PARTS)
     tank = {
         "table": {
@@ -99,7 +99,7 @@ def stage() -> Tree:
 
 
 def cartesian(origin: Array, place: Array, velocity: Array, q: Array, rate: Array, bobs: Array) -> Array:
-    """State of `rates` from the core's state and (u, kappa) of each bob; places relative to `origin`."""
+    """Return the state of `rates` from the core's state and (u, kappa) of each bob; places relative to `origin`."""
     turn = Rotation.from_quat([*q[1:], q[0]])
     places, speeds = [], []
     for bob, hinge, (u, kappa) in zip(BOBS, hinges(), bobs, strict=True):

@@ -79,7 +79,7 @@ def loaded(parts: Parts, load: dict[str, float] | None = None, **sections: objec
 
 
 def with_engine(made: Rig, y: Array, angle_rad: Array, rate_radps: Array) -> Array:
-    """The state with the engine at these angles (pitch, yaw) and rates."""
+    """Return the state with the engine at these angles (pitch, yaw) and rates."""
     out, first = y.copy(), int(layout.tvc_load_index(made.sizes))
     for axis in range(2):
         out[first + 3 * axis], out[first + 3 * axis + 1] = angle_rad[axis], rate_radps[axis]
@@ -134,7 +134,7 @@ def stiff(**changes: object) -> Parts:
 
 
 def free_inertia(parts: Parts) -> float:
-    """Inertia about the hinge of an engine whose body is free: it gives way."""
+    """Return the inertia about the hinge of an engine whose body is free to move."""
     first = parts.engine_mass_kg * parts.engine_cg_m
     about_gimbal = parts.engine_inertia_kgm2 + first * parts.engine_cg_m
     lever = about_gimbal + first * (parts.gimbal_station_m - parts.core_cg[0])
@@ -248,7 +248,7 @@ def test_stop_is_a_stiff_spring() -> None:
 
 
 def planar_equations(modes: int) -> tuple[sp.Matrix, sp.Matrix, list[sp.Symbol]]:
-    """Mass and stiffness matrices over (z, theta, eta.., delta) about axial flight at the specific force a.
+    """Return the mass and stiffness matrices over (z, theta, eta.., delta) about axial flight at the specific force a.
 
     Core with the engine locked by its free-free modes, less the locked engine, plus the engine where it is: at the
     gimbal of the bent axis, turned by theta + sum sigma eta - delta. Thrust along the engine.
@@ -265,7 +265,7 @@ def planar_equations(modes: int) -> tuple[sp.Matrix, sp.Matrix, list[sp.Symbol]]
         return sum(place.diff(c) * rate for c, rate in zip([*q, x], [*rates, x_rate], strict=True)) ** 2
 
     def engine(angle: sp.Expr) -> sp.Expr:
-        """Kinetic energy of the engine, its axis at theta + slope - angle (about y, from x to -z)."""
+        """Return the kinetic energy of the engine, its axis at theta + slope - angle (about y, from x to -z)."""
         turn = theta + slope - angle
         at_x = x - arm * sp.cos(theta) + shift * sp.sin(theta) - l_e * sp.cos(turn)
         at_z = z + arm * sp.sin(theta) + shift * sp.cos(theta) + l_e * sp.sin(turn)

@@ -186,7 +186,7 @@ def test_masses_add_up_and_the_propellant_is_burned(layout: Layout) -> None:
 
 
 def student_with_side_tanks(folder: Path, places: tuple[tuple[float, float], ...]) -> Layout:
-    """The student rocket, whose ethanol is in two tanks."""
+    """Return the student rocket, whose ethanol is in two tanks."""
     text = (Path(__file__).parent / "data" / "layouts" / "student.toml").read_text(encoding="utf-8")
     (line,) = re.findall(r"    \{ name = \"ethanol\".*\n", text)
     half = line.replace("16.0", "8.0").replace("residual_kg = 0.5", "residual_kg = 0.25").replace("0.11", "0.078")

@@ -49,7 +49,7 @@ def design() -> Design:
 
 @cache
 def campaign(seed: int = 1) -> LoadedCampaign:
-    """The deviations of a suite without a campaign."""
+    """Return the deviations of a suite without a campaign."""
     return campaign_of(Spread(), load_scenario("nominal"), seed)
 
 

@@ -48,7 +48,7 @@ def flight() -> Flight:
 
 
 def simulated(model, plane: str, names: list[str]) -> Array:
-    """Moments by states of a plane, in the plane's mirrored axes: (stations, names)."""
+    """Return the moments by states of a plane, in the plane's mirrored axes: (stations, names)."""
     rows = [k for k, name in enumerate(model.outputs) if name.startswith(f"bending_{plane}")]
     turned = ("r_radps", "psi_rad", "actuator_yaw")
     sign = np.array([-1.0 if name.startswith(turned) else 1.0 for name in names])
@@ -57,7 +57,7 @@ def simulated(model, plane: str, names: list[str]) -> Array:
 
 
 def with_engine(body: StateSpace, packed: Packed, plane: str) -> Array:
-    """Moments of the model by its states and those of the actuator."""
+    """Return the moments of the model by its states and those of the actuator."""
     row = packed.parameters[0].vehicle
     moves = actuator(row.actuator_pitch if plane == "pitch" else row.actuator_yaw)
     rows = [k for k, name in enumerate(body.outputs) if name.startswith("bending")]
@@ -82,7 +82,7 @@ def test_every_coefficient_is_the_simulators(flight: Flight, time_s: float, more
 
 
 def loaded() -> dict[str, Any]:
-    """A line mass that is not the vehicle's, and shares of drag; the tank's liquid is all bob."""
+    """Return a line mass unlike the vehicle's, and shares of drag. All liquid of the tank is in the pendulum bob."""
     line = [{"front_station_m": 0.0, "rear_station_m": 11.5, "mass_kg": 3000.0}]
     liquid = [
         {"tank": "1", "bottom_station_m": 6.0, "table": {"time_s": [0.0], "mass_kg": [700.0], "front_station_m": [4.5]}}

@@ -42,7 +42,7 @@ NONE = {key: 0.0 for key in DEVIATIONS if key not in FEW}
 
 @cache
 def usual() -> LoadedCampaign:
-    """The deviations of a suite without a campaign, of KSR-III."""
+    """Return the deviations of a suite without a campaign, of KSR-III."""
     return campaign_of(Spread(), design_nodes.nominal())
 
 
@@ -51,12 +51,12 @@ def deviating(spread: Spread) -> LoadedCampaign:
 
 
 def alone(deviations, **sigmas: float) -> np.ndarray:
-    """Scores of a vehicle in which a few deviate, by their names, and none of the others."""
+    """Return the scores of a vehicle in which a few deviate, by their names, and none of the others."""
     return np.array([sigmas.get(name.replace(" ", "_"), 0.0) / 3.0 for name in deviations.places])
 
 
 def exact(node: Node, by: Dispersion) -> float:
-    """Least |1 + L| as margins are measured, on a curve refined where it bends; below 0: unstable."""
+    """Return the least |1 + L| as margins are measured, on a curve refined where it bends; below 0: unstable."""
     loop = Loop(fixed_path(disperse(node, by)), law_at(design_nodes.design(), node))
     found = margins(loop, resonances=loop.fixed.resonances())
     return found.modulus if found.stable else -1.0

@@ -120,7 +120,7 @@ def test_other_datcom_output_is_refused(text: str, says: str) -> None:
 
 @pytest.fixture
 def layout(tmp_path: Path) -> Path:
-    """A sounding rocket of 14 m with all three."""
+    """Return a sounding rocket of 14 m with all three."""
     (tmp_path / "motor.eng").write_text(MOTOR)
     (tmp_path / "for006.dat").write_text(FOR006)
     for file in NASTRAN.iterdir():

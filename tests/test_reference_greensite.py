@@ -67,7 +67,7 @@ def maxq_loop(at: GivenPoint, law: oracle.Law, kind: str = "exact") -> Loop:
 
 
 def measured(loop: Loop) -> tuple[maxq.Margins, float]:
-    """The margins, and the phase margin at the last crossover of the rigid body alone."""
+    """Return the margins, and the phase margin at the last crossover of the rigid body alone."""
     found = maxq.margins(loop, resonances=loop.fixed.resonances())
     there = loop.response(np.array([found.crossover_hz]))[0]
     return found, abs(math.degrees(np.angle(-there)))
@@ -130,7 +130,7 @@ def test_zavolis_filter_is_unstable_with_left_half_plane_zeros(time_s: float) ->
 
 
 def law_at(time_s: float, zero_zeta: float = -0.2) -> oracle.Law:
-    """The schedule between its rows, gains and filter frequency linear in time."""
+    """Return the schedule between its rows, gains and filter frequency linear in time."""
     rows_s = np.array(list(SCHEDULE))
 
     def at(of: Callable[[oracle.Law], float]) -> float:

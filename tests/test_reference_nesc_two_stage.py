@@ -114,7 +114,7 @@ def flown(*overrides: str) -> Flight:
 
 
 def apart(flight: Flight, until_s: float, air: bool = True) -> dict[str, float]:
-    """Largest differences of altitude (m), speed (m/s) and rate (deg/s) at whole seconds."""
+    """Return the largest differences of altitude (m), speed (m/s) and rate (deg/s) at whole seconds."""
     times, states = by_the_book(until_s, air)
     rows = np.searchsorted(flight.time_s("altitude_m"), times - 1e-6)
     found = {"altitude": 0.0, "speed": 0.0, "rate": 0.0}

@@ -170,7 +170,7 @@ def test_a_folder_with_other_files(campaign: LoadedCampaign, tmp_path: Path) -> 
 
 @contextlib.contextmanager
 def mounted(folder: Path, options: str) -> Iterator[None]:
-    """A small file system of its own; skipped where one may not mount."""
+    """Mount a small file system, or skip the test if mounting is not permitted."""
     folder.mkdir()
     done = subprocess.run(
         ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)], capture_output=True, check=False

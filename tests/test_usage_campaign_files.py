@@ -45,7 +45,7 @@ def flown(folder: Path, runs: int, inputs: str) -> list[dict[str, object]]:
 
 
 def hash_of(folder: Path, *overrides: str) -> str:
-    """The final state of the same scenario, flown alone with single values instead of dispersions."""
+    """Return the final state of the same scenario, flown alone with single values instead of dispersions."""
     file = folder / "alone.toml"
     text = campaignkit.campaign_text(inputs="").partition("[campaign]")[0]
     file.write_text(text)

@@ -78,7 +78,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def analysed(capsys: Printed, *arguments: str) -> tuple[int, list[str], dict[str, Any]]:
-    """Exit code, lines and record of `simdesign analyse`."""
+    """Return the exit code, lines and record of `simdesign analyse`."""
     code = simdesign.main(["analyse", *arguments, "--no-pictures", "--out", "out"])
     return code, capsys.readouterr().out.splitlines(), json.loads(Path("out/analysis.json").read_text())
 

@@ -77,7 +77,7 @@ SHORT = ("search.starts=2", "search.leaps=0", "between_nodes=ignore", "nodes_per
 
 @pytest.fixture(scope="module")
 def designed(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, Path, str]:
-    """Exit code, folder and output of the case of a vehicle whose first flight is lost."""
+    """Return the exit code, folder and output of the case of a vehicle whose first flight is lost."""
     out, shown = tmp_path_factory.mktemp("designed"), io.StringIO()
     words = [str(layoutkit.lost() / "case.toml"), "--out", str(out), "--no-pictures"]
     with contextlib.redirect_stdout(shown):

@@ -19,7 +19,7 @@ ROOTS = (4.730040744862704, 7.853204624095838, 10.995607838001671)
 
 
 def beam(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Shape and slope of mode n of a uniform free-free beam, 1 at the nose (Blevins, table 8-1)."""
+    """Return the shape and slope of mode n of a uniform free-free beam, 1 at the nose (Blevins, table 8-1)."""
     root, x = ROOTS[n], STATIONS / LENGTH_M
     k = (np.cosh(root) - np.cos(root)) / (np.sinh(root) - np.sin(root))
     phi = np.cosh(root * x) + np.cos(root * x) - k * (np.sinh(root * x) + np.sin(root * x))

@@ -30,7 +30,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def said_of(scenario: str | Path, *overrides: str) -> str:
-    """The line that a person reads."""
+    """Return the error line that the user reads."""
     with pytest.raises(ScenarioError) as caught:
         load_scenario(scenario, overrides)
     line = str(caught.value)
@@ -303,7 +303,7 @@ ODD_VALUES = [  # of two values of a kind the second is tried by make test-long
 
 
 def keys_below(value: object, path: str = "") -> list[str]:
-    """Paths of everything in a TOML document."""
+    """Return the paths of everything in a TOML document."""
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     found = [path] if path else []
     for key, item in list(items) if isinstance(value, dict) else list(items)[:2]:

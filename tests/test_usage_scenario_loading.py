@@ -395,7 +395,7 @@ def test_errors_in_the_text_of_a_log(ascent: Path) -> None:
 
 @pytest.fixture
 def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder of built-in scenarios."""
+    """Return a folder of built-in scenarios."""
     root = tmp_path / "installed" / "scenarios"
     write_ascent(root)
     (root / "checkcases").mkdir()

@@ -30,7 +30,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def run(*arguments: str) -> int:
-    """Exit code of the command, also where argparse ends it."""
+    """Return the exit code of the command, also where argparse ends it."""
     try:
         return simdesign.main(list(arguments))
     except SystemExit as end:

@@ -30,7 +30,7 @@ AT_NODES = "margins.between_nodes=ignore"
 
 @pytest.fixture(scope="module")
 def memory(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of verified parts for all tests of this module."""
+    """Return a folder of verified parts for all tests of this module."""
     return tmp_path_factory.mktemp("memory")
 
 

@@ -46,7 +46,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def run(*arguments: object) -> int:
-    """Exit code of the command, also where argparse ends it."""
+    """Return the exit code of the command, also where argparse ends it."""
     try:
         return simreplay.main([str(argument) for argument in arguments])
     except SystemExit as end:

@@ -45,7 +45,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def run(*arguments: str) -> int:
-    """Exit code of the command, also where argparse ends it."""
+    """Return the exit code of the command, also where argparse ends it."""
     try:
         return simrun.main(list(arguments))
     except SystemExit as end:

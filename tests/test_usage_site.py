@@ -48,7 +48,7 @@ class Page(HTMLParser):
 
 
 def built(folder: Path, *settings: str) -> Path:
-    """Build the site with warnings as errors and further settings of Sphinx. Return the folder of its pages."""
+    """Build the site with warnings as errors and extra Sphinx settings, and return the folder of its pages."""
     changes = [word for setting in settings for word in ("-D", setting)]
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", *changes, "-d", folder / "trees"]
     done = subprocess.run([*command, DOCS, folder / "html"], capture_output=True, text=True, check=False)
@@ -103,7 +103,7 @@ def test_links_between_sources_lead_somewhere() -> None:
 
 
 def _lenient(node: Any) -> Any:
-    """A schema without what must be there: examples show parts of files."""
+    """Return a schema without required keys, because examples show parts of files."""
     if isinstance(node, list):
         return [_lenient(item) for item in node]
     if not isinstance(node, dict):

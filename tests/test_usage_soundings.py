@@ -60,7 +60,7 @@ def geometric(geopotential_m: float) -> float:
 
 
 def profile(tmp_path: Path, text: str, name: str = "sounding.txt", number: str = "") -> list[tuple[float, ...]]:
-    """Rows of altitude, speed and direction it blows from."""
+    """Return the rows of altitude, speed and direction it blows from."""
     (tmp_path / name).write_text(text)
     table = load_scenario("nominal", [f"wind.profile={tmp_path / name}{number}"]).scenario.wind.profile
     assert table is not None

@@ -31,7 +31,7 @@ from maxq.tools import simrun
 
 
 def chunk(content: bytes, compression: str, packed: bytes, says: int | None = None) -> bytes:
-    """An MCAP chunk record: specification, https://mcap.dev/spec, opcode 0x06."""
+    """Return an MCAP chunk record: specification, https://mcap.dev/spec, opcode 0x06."""
     size = len(content) if says is None else says
     name = compression.encode()
     body = struct.pack("<QQQI", 0, 1, size, zlib.crc32(content)) + struct.pack("<I", len(name)) + name
@@ -46,7 +46,7 @@ def first_chunk(log: bytes) -> ChunkIndex:
 
 
 def with_chunks(folder: Path, *chunks: bytes) -> Path:
-    """The example's head with these chunks behind it, and no end."""
+    """Return the head of the example followed by these chunks, without an end."""
     whole = write_example(folder / "example.mcap")
     path = folder / "made.mcap"
     path.write_bytes(whole[: first_chunk(whole).chunk_start_offset] + b"".join(chunks))
@@ -54,7 +54,7 @@ def with_chunks(folder: Path, *chunks: bytes) -> Path:
 
 
 def own_chunk(folder: Path) -> bytes:
-    """The content of the example's first chunk."""
+    """Return the content of the example's first chunk."""
     whole = write_example(folder / "example.mcap")
     index = first_chunk(whole)
     start = index.chunk_start_offset + 9  # behind opcode and length

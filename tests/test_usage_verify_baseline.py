@@ -1,4 +1,4 @@
-"""A suite and its baseline: each difference in resolved content is on the first page; a copy differs in nothing."""
+"""Comparison of a suite with its baseline: the first page lists each difference in content; a copy has none."""
 
 from __future__ import annotations
 

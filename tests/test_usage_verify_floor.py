@@ -85,7 +85,7 @@ def evidence(loaded: LoadedSuite, in_flight: tuple[str, ...] = FLOOR.planes) -> 
 
 @pytest.fixture(scope="module")
 def standard() -> Evidence:
-    """The evidence of the suite `standard` without the limits that its marks need."""
+    """Return the evidence of the suite `standard` without the limits that its marks need."""
     loaded = read_suite("standard", STANDARD)
     return evidence(loaded)
 

@@ -62,7 +62,7 @@ set = ["run.duration_s=2.0"]
 
 @pytest.fixture(scope="module")
 def made() -> Path:
-    """A folder with a suite, a cache, a ledger, and the pack that was made by them, once for all workers."""
+    """Return a folder with a suite, a cache, a ledger, and the resulting pack, made once for all workers."""
     return copy_of("verified-pack", _make)
 
 

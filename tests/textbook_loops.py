@@ -15,10 +15,10 @@ from maxq.control.kernel.records import Array
 
 @dataclass(frozen=True)
 class TransferLoop:
-    """numerator / denominator in falling powers of s (of z with `sample_s`), times a pure delay.
+    """A loop numerator / denominator, in falling powers of s (of z with `sample_s`), times a pure delay.
 
-    With a delay the closed loop has poles without number: `rightmost` are those to be reported. `exact` are the
-    denominator's roots where they are known better than its coefficients tell them.
+    With a delay, the closed loop has infinitely many poles, and `rightmost` contains those to report. `exact` contains
+    the roots of the denominator if they are known more accurately than its coefficients give them.
     """
 
     numerator: Sequence[float]
@@ -121,12 +121,12 @@ class ModalLoop:
         return np.linalg.eigvals(self.a - gain * np.outer(self.b, self.c)).astype(complex)
 
     def gain_crossings_hz(self) -> np.ndarray:
-        """Eigenvalues / 2 pi j of the Hamiltonian whose imaginary ones are where |L| = 1."""
+        """Return the eigenvalues / 2 pi j of the Hamiltonian whose imaginary ones are where |L| = 1."""
         h = np.block([[self.a, np.outer(self.b, self.b)], [-np.outer(self.c, self.c), -self.a.T]])
         return np.linalg.eigvals(h) / (2j * np.pi)
 
     def real_crossings_hz(self) -> np.ndarray:
-        """Zeros / 2 pi j of L(s) - L(-s), whose imaginary ones are where L is real."""
+        """Return the zeros / 2 pi j of L(s) - L(-s), whose imaginary ones are where L is real."""
         n = len(self.a)
         zero = np.zeros((n, n))
         a = np.block([[self.a, zero], [zero, -self.a]])

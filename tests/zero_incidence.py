@@ -15,7 +15,7 @@ from maxq.sim.vehicle.state import MAX_STATE
 
 
 def zero_incidence(packed: Packed, y: Array) -> Array:
-    """The state `y` (MAX_STATE,) with modes and pendulums at rest and the body along its velocity over ground.
+    """Return the state `y` (MAX_STATE,) with modes and pendulums at rest and the body along its velocity over ground.
 
     Position and velocity are kept, the attitude is rotated by the smallest angle, body rates relative to I are zero,
     the pendulums point aft. Raises ValueError at rest, where there is no direction.

@@ -30,7 +30,7 @@ class Beam:
     axial_N: Array
 
     def matrices(self) -> tuple[Array, Array]:
-        """Stiffness (with that of the axial force) and mass, over (w, w') of every node."""
+        """Return the stiffness (with that of the axial force) and mass, over (w, w') of every node."""
         size = 2 * len(self.x)
         k, m = np.zeros((size, size)), np.zeros((size, size))
         for e in range(len(self.x) - 1):
@@ -72,7 +72,7 @@ class Beam:
         return np.asarray(np.linalg.solve(k - omega_radps**2 * m, load))
 
     def in_free_fall(self, force_N: Array) -> Array:
-        """Deflection under constant nodal forces in the frame that accelerates with the beam.
+        """Return the deflection under constant nodal forces in the frame that accelerates with the beam.
 
         The force's rigid accelerations are taken off (inertia relief); of the rigid motions, which are arbitrary, the
         answer has none in the mean over the mass.
@@ -87,7 +87,7 @@ class Beam:
         return np.asarray(np.linalg.solve(bordered, np.concatenate([load, np.zeros(2)]))[: len(k)])
 
     def moment_Nm(self, motion: Array) -> Array:
-        """Section moment (n + 1,) of the bending stiffness alone: the mean of both elements at a node."""
+        """Return the section moment (n + 1,) of the bending stiffness alone: the mean of both elements at a node."""
         ends: list[list[float]] = [[] for _ in self.x]
         for e in range(len(self.x) - 1):
             h = self.x[e + 1] - self.x[e]

@@ -141,7 +141,7 @@ def _stiffness(vehicle: PlanarVehicle, condition: FlightCondition, load: float, 
 
 
 def _damping(vehicle: PlanarVehicle, condition: FlightCondition, load: float, at: _Layout) -> Array:
-    """Forces lost per unit of rate; column 0 is that of w."""
+    """Return the forces lost per unit of rate; column 0 is that of w."""
     modes, bobs, air = vehicle.modes, vehicle.pendulums, vehicle.aerodynamics
     c = np.zeros((at.size, at.size))
     c[at.mode, at.mode] += np.diag(2.0 * modes.damping_ratio * modes.omega_radps * modes.generalized_mass_kg)
@@ -176,7 +176,7 @@ def _surfaces(
 
 
 def _mass_flow(vehicle: PlanarVehicle, at: _Layout) -> Array:
-    """Generalised forces lost per pitch rate to what flows through the turning vehicle (jet damping).
+    """Return the generalised forces lost per pitch rate to the flow through the turning vehicle (jet damping).
 
     The core is a vessel through which mass flows. Reynolds' transport theorem with the Coriolis acceleration
     2 w x v_rel inside gives for the body point at its CG, and about it (W. T. Thomson, Introduction to Space
@@ -200,7 +200,7 @@ def _mass_flow(vehicle: PlanarVehicle, at: _Layout) -> Array:
 
 
 def _bob_reach(vehicle: PlanarVehicle, at: _Layout, tank: int) -> Array:
-    """Lateral displacement of a bob per unit of each coordinate."""
+    """Return the lateral displacement of a bob per unit of each coordinate."""
     bobs = vehicle.pendulums
     reach = np.zeros(at.size)
     reach[0], reach[1] = 1.0, -(vehicle.body.core_cg_station_m - bobs.bob_station_m[tank])
@@ -215,7 +215,7 @@ def _gimbal_arm(vehicle: PlanarVehicle) -> float:
 
 
 def _engine_columns(vehicle: PlanarVehicle, condition: FlightCondition, load: float, at: _Layout) -> Array:
-    """Generalised force per engine angle and per engine acceleration."""
+    """Return the generalised force per engine angle and per engine acceleration."""
     engine, modes, arm = vehicle.engine, vehicle.modes, _gimbal_arm(vehicle)
     thrust, inertia = engine.thrust_N(condition.pressure_Pa), engine.inertia_about_gimbal_kgm2
     first_moment = engine.gimballed_mass_kg * engine.cg_from_gimbal_m

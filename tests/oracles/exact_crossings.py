@@ -17,7 +17,7 @@ DIGITS = 200
 
 
 def characteristic(a: np.ndarray) -> list[mpf]:
-    """Coefficients of det(x - A) in rising powers, by the Hessenberg form."""
+    """Return the coefficients of det(x - A) in rising powers, by the Hessenberg form."""
     n = len(a)
     h = mp.hessenberg(mp.matrix(a.tolist()))[1] if n > 1 else mp.matrix(a.tolist())
     ps = [[mpf(1)]]
@@ -75,7 +75,7 @@ def response(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, sample_s: fl
 
 
 def real_roots(p: list[mpf], low: mpf, high: mpf) -> list[mpf]:
-    """Roots of a polynomial (rising powers) between two points, to 15 digits; double ones once."""
+    """Return the roots of a polynomial (rising powers) between two points, to 15 digits; double ones once."""
     while p[-1] == 0:
         p = p[:-1]
     chain = [p, [k * x for k, x in enumerate(p)][1:]]
@@ -145,7 +145,7 @@ def _along_axis(n: list[mpf], q: list[mpf]) -> tuple[list[mpf], list[mpf]]:
     """Both polynomials in w^2, rising powers."""
 
     def parts(p: list[mpf]) -> tuple[list[mpf], list[mpf]]:
-        """Even and odd part of p(j w), the latter over w, in w^2."""
+        """Return the even and odd part of p(j w), the latter over w, in w^2."""
         return [x * (-1) ** k for k, x in enumerate(p[::2])], [x * (-1) ** k for k, x in enumerate(p[1::2])]
 
     def times(u: list[mpf], v: list[mpf], shift: int = 0) -> list[mpf]:

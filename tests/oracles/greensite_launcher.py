@@ -37,7 +37,7 @@ class Law:
 
 
 def coefficients(time_s: float) -> dict[str, float]:
-    """The numbers of both files at a time, linear between rows."""
+    """Return the numbers of both files at a time, linear between rows."""
     out: dict[str, float] = {}
     for name in ("greensite.csv", "greensite-mode.csv"):
         lines = [x for x in (SCENARIOS / name).read_text().splitlines() if not x.startswith("#")]
@@ -84,7 +84,7 @@ def loop(p: dict[str, float], law: Law, radps: np.ndarray, delay_s: float = 0.02
 
 
 def closed_poles(p: dict[str, float], law: Law, order: int = 4, **of: float) -> np.ndarray:
-    """The poles of the closed loop, with a Pade delay of that order."""
+    """Return the poles of the closed loop, with a Pade delay of that order."""
     whole = control.ss(before(law, order=order)) * control.ss([], [], [], law.gains[None]) * plant(p, **of)[:4, 0]
     return np.asarray(control.feedback(whole, 1).poles())
 
@@ -101,7 +101,7 @@ class RigidMargins:
 
 
 def margins(p: dict[str, float], law: Law, **of: float) -> RigidMargins:
-    """The margins from 0.3 rad/s to 0.8 of the mode's frequency."""
+    """Return the margins from 0.3 rad/s to 0.8 of the mode's frequency."""
     radps = np.geomspace(0.3, 0.8 * p["omega_radps"], 600)
     found = loop(p, law, radps, **of)
 

@@ -14,7 +14,7 @@ Deflection = Callable[[float], tuple[Floats, Floats, Floats]]
 
 
 def flatten(state: State) -> Floats:
-    """State as one vector: r, v, q_BI, w, eta, etadot, xi, xidot, u, udot, actuators' work (J, zero)."""
+    """Return the state as one vector: r, v, q_BI, w, eta, etadot, xi, xidot, u, udot, actuators' work (J, zero)."""
     return np.concatenate(
         (
             state.r_I_m,
@@ -33,7 +33,7 @@ def flatten(state: State) -> Floats:
 
 
 def unflatten(vector: Floats, like: State) -> State:
-    """The inverse of `flatten`; gimbal angles and array sizes come from `like`."""
+    """Return the inverse of `flatten`; gimbal angles and array sizes come from `like`."""
     n, k = len(like.eta_m), len(like.u_B)
     sizes = (3, 3, 4, 3, n, n, n, n, 3 * k, 3 * k)
     r, v, q, w, eta, eta_dot, xi, xi_dot, u, u_dot = np.split(vector[:-1], np.cumsum(sizes)[:-1])
@@ -63,7 +63,7 @@ def fly(
     samples: int = 5,
     tolerance: float = 1e-11,
 ) -> tuple[list[State], Floats]:
-    """States at `samples` equal instants (both ends included) and the actuators' work in J up to each.
+    """Return the states at `samples` equal instants (both ends included) and the actuators' work in J up to each.
 
     `load` stays constant in its axes; `deflection(t)` gives (pitch, yaw) angle, rate and acceleration in
     radians, otherwise the gimbal angles stay as in `start` and must be at rest there. Raises RuntimeError

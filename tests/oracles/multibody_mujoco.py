@@ -46,7 +46,7 @@ def _inertial(mass: float, position: Floats, inertia: Floats) -> str:
 
 
 def _dry_core(vehicle: Vehicle) -> tuple[float, Floats, Floats]:
-    """Mass, CG and inertia about that CG of the core with the locked engine taken out."""
+    """Return the mass, CG and inertia about that CG of the core without the locked engine."""
     if vehicle.engine is None:
         return vehicle.mass_kg, np.zeros(3), vehicle.inertia_B_kgm2
     engine = vehicle.engine
@@ -99,7 +99,7 @@ def _model(text: str) -> mujoco.MjModel:
 def _set_up(
     vehicle: Vehicle, state: State, gravitation: Floats, ratio: float, roll_free_gimbal: bool
 ) -> tuple[mujoco.MjModel, mujoco.MjData, list[Floats], list[Floats]]:
-    """Model and data at the state; per pendulum C_B,child and the child's rate relative to B, child axes."""
+    """Return the model and data at the state; per pendulum C_B,child and the child's rate relative to B, child axes."""
     model = _model(model_text(vehicle, ratio, roll_free_gimbal))
     model.opt.gravity[:] = gravitation
     data = mujoco.MjData(model)

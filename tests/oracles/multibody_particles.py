@@ -33,7 +33,7 @@ class Beam:
 
 
 def free_free_beam(mass_kg: Floats, x_B_m: Floats, n_pairs: int, rotor_kgm2: Floats) -> Beam:
-    """Shapes from powers of x by Gram-Schmidt under the masses; each is 1 at the last particle."""
+    """Return the shapes from powers of x by Gram-Schmidt under the masses; each is 1 at the last particle."""
     x = x_B_m - mass_kg @ x_B_m / mass_kg.sum()
     span = np.ptp(x)
     basis: list[Floats] = []
@@ -182,7 +182,7 @@ def _engine_offset(engine: Engine, state: State) -> tuple[Floats, Floats, Floats
 
 
 def _engine(vehicle: Vehicle, engine: Engine, state: State, flexible: Flexible, mount_turns: bool) -> list[_Particle]:
-    """The engine's particle where it is, and a negative one that takes it out of the beam where it was."""
+    """Return the engine's particle, and a negative one that removes it from its undeflected place in the beam."""
     if engine.inertia_kgm2 != 0.0:
         raise ValueError("the particle oracle's engine has no inertia about its own CG; set inertia_kgm2 to zero")
     phi_z = np.array([s.phi_gimbal_z + engine.length_m * s.sigma_gimbal_z_1pm for s in vehicle.pairs])

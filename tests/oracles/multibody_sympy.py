@@ -86,9 +86,9 @@ def _attitude() -> tuple[sp.Matrix, sp.Matrix]:
 
 
 def _without_squares_of_cosines(expression: sp.Expr) -> sp.Expr:
-    """Return a polynomial of degree two in sines and cosines of the Euler angles, simplified.
+    """Return a simplified polynomial of degree two in the sines and cosines of the Euler angles.
 
-    Equal polynomials have the same form with cos^2 = 1 - sin^2 put in. `sp.trigsimp` needs a quarter of a minute.
+    Substituting 1 - sin^2 for cos^2 gives equal polynomials the same form. `sp.trigsimp` takes 15 s.
     """
     return sp.expand(sp.expand(expression).subs({sp.cos(angle) ** 2: 1 - sp.sin(angle) ** 2 for angle in _E}))
 
@@ -220,7 +220,7 @@ def _pair() -> _Compiled:
 
 
 def _pair_piece() -> _Piece:
-    """A mode pair and what the engine's motion relative to the core does to it."""
+    """Return a mode pair and the effect on it of the engine's motion relative to the core."""
     eta, xi, eta_dot, xi_dot = sp.symbols("eta xi etad xid", real=True)
     mass_z, mass_y, omega_z, omega_y = sp.symbols("M_z M_y w_z w_y", real=True)
     phi_z, phi_y, sigma_z, sigma_y = sp.symbols("phi_gz phi_gy sigma_gz sigma_gy", real=True)
@@ -243,7 +243,7 @@ _PENDULUM_ANGLES, _PENDULUM_RATES = _symbols("alpha beta"), _symbols("alphad bet
 
 
 def _chart_direction() -> sp.Matrix:
-    """Unit vector of the two pendulum angles in chart axes; singular at beta = +-90 degrees."""
+    """Return the unit vector of the two pendulum angles in chart axes; singular at beta = +-90 degrees."""
     alpha, beta = _PENDULUM_ANGLES
     return sp.Matrix([sp.cos(alpha) * sp.cos(beta), sp.sin(beta), sp.sin(alpha) * sp.cos(beta)])
 
@@ -254,7 +254,7 @@ def _pendulum() -> _Compiled:
 
 
 def _pendulum_piece() -> _Piece:
-    """A pendulum on the hinge displacement (y, z), a constant linear map of the modal coordinates."""
+    """Return a pendulum on the hinge displacement (y, z), a constant linear map of the modal coordinates."""
     mass, length = sp.symbols("m_p L_p", positive=True)
     hinge = _symbols("h_x h_y h_z")
     displacement, displacement_rate = sp.symbols("s_y s_z", real=True), sp.symbols("s_yd s_zd", real=True)
@@ -403,7 +403,7 @@ def _shape(phi: Floats, n_pairs: int) -> Floats:
 
 
 def _damping(pendulum: Pendulum, jacobian: Floats, u_dot: Floats) -> Floats:
-    """Generalised force (2,) on the pendulum's angles: virtual work of -c m L udot over L delta(u)."""
+    """Return the generalised force (2,) on the pendulum's angles: virtual work of -c m L udot over L delta(u)."""
     force: Floats = -pendulum.damping_1ps * pendulum.mass_kg * pendulum.length_m**2 * (jacobian.T @ u_dot)
     return force
 
@@ -482,7 +482,7 @@ def _solve(mass: Floats, force: Floats) -> Floats:
 
 
 def energy(vehicle: Vehicle, state: State, gravitation_I_mps2: Floats | None = None) -> dict[str, float]:
-    """Kinetic and potential energy (strain and gravity) in J, from the Lagrangian's own pieces."""
+    """Return the kinetic and potential energy (strain and gravity) in J, from the Lagrangian's own pieces."""
     chart = _chart(state, EULER_CHART, PENDULUM_CHART)
     g_j = chart.C_IJ.T @ (np.zeros(3) if gravitation_I_mps2 is None else gravitation_I_mps2)
     v_b = state.C_IB.T @ state.v_I_mps
@@ -495,7 +495,7 @@ def energy(vehicle: Vehicle, state: State, gravitation_I_mps2: Floats | None = N
 
 
 def momentum(vehicle: Vehicle, state: State) -> dict[str, Floats]:
-    """Linear momentum dT/dv and angular momentum dT/dw, Noether's constants of the defined Lagrangian.
+    """Return the linear momentum dT/dv and angular momentum dT/dw, Noether's constants of the defined Lagrangian.
 
     Returns `linear_I_Ns`, `angular_C0_B_Nms` (about C0, B axes) and `angular_I_Nms` (about the origin of I).
     Limits: with bending they are those of the energies as defined, second-order terms dropped.

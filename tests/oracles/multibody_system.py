@@ -141,7 +141,7 @@ def quaternion_from_rotation(C_IB: Floats) -> Floats:
 
 
 def rotation_taking(a: Floats, b: Floats) -> Floats:
-    """A rotation (3, 3) that takes the direction of a into that of b; any pair, opposite ones included."""
+    """Return a rotation (3, 3) that takes the direction of a into that of b, also for opposite directions."""
     a, b = np.asarray(a) / np.linalg.norm(a), np.asarray(b) / np.linalg.norm(b)
     # One helper axis, far from both, completes a right-handed frame on each of them.
     helper = np.eye(3)[np.argmin(np.abs(a) + np.abs(b))]

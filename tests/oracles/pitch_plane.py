@@ -113,7 +113,7 @@ def table(path: Path):
 
 
 def snapshot(vehicle: VehicleFolder, t: float) -> Snapshot:
-    """The vehicle at time t on the point-mass flight, wind still."""
+    """Return the vehicle at time t on the point-mass flight, without wind."""
     mass, x_cg, _, inertia, _ = vehicle.mass(t)
     _, altitude, speed, path_angle, _, thrust, drag, pressure, mach = vehicle.flight(t)
     tanks = [
@@ -159,7 +159,7 @@ def snapshot(vehicle: VehicleFolder, t: float) -> Snapshot:
 def _without_bobs(
     mass: float, x_cg: float, inertia: float, tanks: list[tuple[float, ...]]
 ) -> tuple[float, float, float]:
-    """Mass, CG station and transverse inertia left when the bobs are taken out of the frozen vehicle."""
+    """Return the mass, CG station and transverse inertia of the frozen vehicle without the bobs."""
     core = mass - sum(m for m, *_ in tanks)
     cg = (mass * x_cg - sum(m * (hinge + length) for m, length, hinge, _ in tanks)) / core
     about_nose = inertia + mass * x_cg**2 - sum(m * (hinge + length) ** 2 for m, length, hinge, _ in tanks)
@@ -231,7 +231,7 @@ def gyro(omega_hz: float, zeta: float) -> Linear:
 
 
 def vehicle(s: Snapshot) -> tuple[Array, Array, Array]:
-    """State matrix (n, n), inputs (n, 2) for gimbal angle and its second derivative, and the angle at the
+    """Return the state matrix (n, n), inputs (n, 2) for gimbal angle and its second derivative, and the angle at the
     gyro (n,).
 
     State: w (m/s, body z), theta, q, pendulum angles, eta, pendulum rates, d(eta)/dt. Angles are

@@ -70,7 +70,7 @@ class Particles:
 
     @property
     def masses_kg(self) -> Floats:
-        """The masses of the particles, in the order of `places`."""
+        """Return the masses of the particles, in the order of `places`."""
         moved = [sign * engine.mass_kg for engine in self.engines for sign in (1.0, -1.0)]
         return np.concatenate([self.axis_kg, self.hull_kg, moved, [bob.mass_kg for bob in self.bobs]])
 

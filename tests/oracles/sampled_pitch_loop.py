@@ -129,7 +129,7 @@ def law_polynomials(k_p: float, k_d_s: float, period_s: float) -> tuple[Array, A
 
 
 def controller(k_p: float, k_d_s: float, sections: list[Quadratic], period_s: float, prewarp_hz: float) -> Discrete:
-    """Angle in, minus the gimbal command out."""
+    """Return the controller, from the angle to minus the gimbal command."""
     fb, fa = filter_polynomials(sections, period_s, prewarp_hz)
     lb, la = law_polynomials(k_p, k_d_s, period_s)
     a, b, c, d = tf2ss(np.polymul(fb, lb), np.polymul(fa, la))
@@ -137,14 +137,14 @@ def controller(k_p: float, k_d_s: float, sections: list[Quadratic], period_s: fl
 
 
 def closed_loop_poles(plant: Discrete, control: Discrete) -> Array:
-    """Eigenvalues z of the closed loop; stable if all lie inside the unit circle."""
+    """Return the eigenvalues z of the closed loop; stable if all lie inside the unit circle."""
     corner = plant.a - np.outer(plant.b, control.d * plant.c)
     a = np.block([[corner, -np.outer(plant.b, control.c)], [np.outer(control.b, plant.c), control.a]])
     return np.asarray(np.linalg.eigvals(a))
 
 
 def response(system: Discrete, frequency_hz: Array, period_s: float) -> Response:
-    """Frequency response at z = exp(j w T)."""
+    """Return the frequency response at z = exp(j w T)."""
     z = np.exp(2j * np.pi * frequency_hz * period_s)
     eye = np.eye(len(system.a))
     matrices = z[:, None, None] * eye - system.a
@@ -163,7 +163,7 @@ def frequency_grid(plant: Discrete, period_s: float) -> Array:
 
 
 def plant_poles(plant: Discrete) -> Array:
-    """Poles z without those at the origin (the stored command)."""
+    """Return the poles z without those at the origin (the stored command)."""
     poles = np.linalg.eigvals(plant.a).astype(complex)
     return np.asarray(poles[np.abs(poles) > 1e-6])
 

@@ -81,7 +81,7 @@ def gravitation(position: Vector) -> Vector:
 
 
 def geodetic(position: Vector) -> tuple[float, float, float]:
-    """Latitude, longitude, altitude; iterated until nothing changes (not at the poles)."""
+    """Return the latitude, longitude and altitude, iterated until they are constant (not at the poles)."""
     e2 = FLATTENING * (2 - FLATTENING)
     p = float(np.hypot(position[0], position[1]))
     latitude, altitude = np.arctan2(position[2], p * (1 - e2)), 0.0
@@ -105,14 +105,14 @@ def earth_fixed(latitude_deg: float, longitude_deg: float, altitude_m: float) ->
 
 
 def ned_axes(latitude: float, longitude: float) -> Vector:
-    """Columns north, east, down in E, built from the vertical."""
+    """Return the columns north, east, down in E, built from the vertical."""
     up = np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
     return np.stack([cross(up, east), east, -up], axis=1)
 
 
 def about(axis: int, angle_deg: float) -> Vector:
-    """Rotation about a coordinate axis, as a product of which a 3-2-1 attitude is made."""
+    """Return the rotation about a coordinate axis. A 3-2-1 attitude is a product of three."""
     angle = np.radians(angle_deg)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     out = np.eye(3)
@@ -122,7 +122,7 @@ def about(axis: int, angle_deg: float) -> Vector:
 
 
 def standard_air(altitude_m: float) -> tuple[float, float, float]:
-    """Density, pressure and speed of sound of the US Standard Atmosphere 1976 to 80 km, layer by layer."""
+    """Return the density, pressure and speed of sound of the US Standard Atmosphere 1976 to 80 km, layer by layer."""
     h = 6356766.0 * altitude_m / (6356766.0 + altitude_m)
     temperature, pressure = 288.15, 101325.0
     for (base, lapse), (top, _) in zip(LAYERS, (*LAYERS[1:], (84e3, 0.0)), strict=True):
@@ -145,7 +145,7 @@ def start(
     rate_degps: Sequence[float],
     rate_is_inertial: bool,
 ) -> State:
-    """State at t = 0 (E = I): geodetic place, velocity in NED, yaw, pitch and roll, body rates."""
+    """Return the state at t = 0 (E = I): geodetic place, velocity in NED, yaw, pitch and roll, body rates."""
     position = earth_fixed(*place)
     axes = ned_axes(*geodetic(position)[:2])
     yaw, pitch, roll = euler_deg

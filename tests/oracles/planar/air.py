@@ -52,7 +52,7 @@ class Aerodynamics:
         return by_flow, acts * (self.rate_slope_m * at - self.rate_moment_m2)
 
     def cross_couples(self) -> Array:
-        """The first of `modal_couples` by the other plane's flow."""
+        """Return the first of `modal_couples` by the other plane's flow."""
         stations = self.couple_station_m[: len(self.cross_slope_pr)]
         turns = self.cross_slope_pr * np.nan_to_num(stations) - self.cross_moment_mpr
         return np.asarray(np.isfinite(stations) * turns)

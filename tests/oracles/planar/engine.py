@@ -38,12 +38,12 @@ class GimballedEngine:
 
     @property
     def rest(self) -> tuple[float, float]:
-        """Thrust axis at rest: forward, across."""
+        """Return the thrust axis at rest: forward, across."""
         return self._in_plane(self.axis)
 
     @property
     def mounted(self) -> tuple[float, float]:
-        """The same without axial load."""
+        """Return the same without axial load."""
         return self._in_plane(self.unloaded or self.axis)
 
     @property
@@ -66,13 +66,13 @@ class GimballedEngine:
 
     @property
     def levers(self) -> tuple[float, float]:
-        """Squares of both changes in space."""
+        """Return the squares of both changes in space."""
         y = self.axis[1]
         return (1.0 - y * y, 1.0) if self.plane == "pitch" else (1.0, 1.0 - y * y)
 
     @property
     def twist(self) -> float:
-        """Second derivative of the forward part by both angles."""
+        """Return the second derivative of the forward part by both angles."""
         _, y, z = self.axis
         mixed: float = self.across * y * z / np.sqrt(1.0 - y * y)
         return -mixed if self.plane == "pitch" else mixed

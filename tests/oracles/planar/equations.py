@@ -17,23 +17,23 @@ from maxq.design.paper.errata import Errata
 
 
 def dot(shape: Array, rows: Array) -> Array:
-    """Sum of rows (k, columns, ...), each times its number in `shape` (k, ...)."""
+    """Return the sum of rows (k, columns, ...), each times its number in `shape` (k, ...)."""
     return np.asarray((shape[:, None] * rows).sum(axis=0))
 
 
 def outer(shape: Array, row: Array) -> Array:
-    """A row (columns, ...) times each number of `shape` (k, ...)."""
+    """Return a row (columns, ...) times each number of `shape` (k, ...)."""
     return np.asarray(shape[:, None] * row)
 
 
 def joined(*parts: Array) -> Array:
-    """Rows one below the other, of as many vehicles each."""
+    """Return the stacked rows, each for the same number of vehicles."""
     one = np.broadcast_shapes(*(part.shape[1:] for part in parts))
     return np.concatenate([np.broadcast_to(part, (len(part), *one)) for part in parts])
 
 
 def without_unknowns(system: Array, hinges: Array) -> Array:
-    """Rows over states and inputs, the accelerations in the last columns solved from `hinges` = 0."""
+    """Return the rows over states and inputs, the accelerations in the last columns solved from `hinges` = 0."""
     n = len(hinges)
     if n == 0:
         return system
@@ -208,7 +208,7 @@ class Equations:
             self.moment = self.moment + thrust * engine.from_cg_m * forward
 
     def _forward(self, shape: Array) -> Array:
-        """Displacement along x of a place, about that at which the modes are held."""
+        """Return the displacement along x of a place, about that at which the modes are held."""
         return dot(shape[: len(self.held)], self.forward) if len(self.held) else 0.0 * self.w
 
     def _engine(self, engine: GimballedEngine, by: tuple[float, float], delta: Array, accel: Array) -> None:
@@ -269,7 +269,7 @@ class Equations:
         self.damper[k] = self.damper[k] + flow * swung
 
     def held_load_mps2(self) -> Array:
-        """Lateral specific force at the hinges (tanks,) where the modes are held."""
+        """Return the lateral specific force at the hinges (tanks,) where the modes are held."""
         bent = slice(3, 3 + len(self.held))
         lateral, turning = (row[bent] @ self.held for row in (self.force / self.mass, self.moment / self.inertia))
         return np.asarray(lateral - (self.cg - self.hinge_station_m) * turning)
@@ -352,7 +352,7 @@ class Equations:
         return system, hinges, self._sensed(lateral, turning, bending)
 
     def _hinge(self, k: int, swing: Swing) -> Array:
-        """Moment of spring, damper and axial load on an engine about its hinge."""
+        """Return the moment of spring, damper and axial load on an engine about its hinge."""
         engine = swing.engine
         load, (_, slope) = engine.tvc_load, self.vehicle.modes.at_gimbal(engine.gimbal)
         assert load is not None

@@ -61,7 +61,7 @@ class TableSlopes:
         return self._slopes(_axes_of(plane), *self.by_mach)
 
     def across(self, plane: str) -> tuple[float, float, float, float]:
-        """The first two by the other plane's flow: at the table, then with the Mach number at the CG."""
+        """Return the first two by the other plane's flow: at the table, then with the Mach number at the CG."""
         axes = _axes_of(plane)
         local = self.force_by_flow - self.by_mach[0], self.couple_by_flow_m - self.by_mach[1]
         return *self._slopes(axes, *local, 3 - axes[0]), *self._slopes(axes, *self.by_mach, 3 - axes[0])
@@ -116,7 +116,7 @@ def _atan2(y: Gradient, x: Gradient) -> Gradient:
 def table_slopes(
     pool: Array, vehicle: Any, properties: Array, clock_s: float, mach: float, alpha_rad: float, beta_rad: float
 ) -> list[TableSlopes]:
-    """Slopes of each table of a packed, burning stage, in the order of the packed tables.
+    """Return the slopes of each table of a packed, burning stage, in the order of the packed tables.
 
     `properties` are the schedule's columns at `clock_s`. At zero angle of attack, where the plane of the total angle of
     attack is undefined, the slopes are the mean of those on both sides. A table for the engine off has zeros.
@@ -139,7 +139,7 @@ def table_slopes(
 
 
 def reference_station_m(pool: Array, a: Any, properties: Array, clock_s: float) -> float:
-    """Station of the moment reference."""
+    """Return the station of the moment reference."""
     x = properties[schedule.TOTAL_MASS] if a.reference_moves == aero.OVER_MASS else clock_s
     return float(table_in(pool, a.reference)(x)[0])
 
@@ -165,12 +165,12 @@ def _of_table(pool: Array, a: Any, j: int, s: int, reference_m: float, mach: flo
 
 
 def _apart(moved: list[Gradient], still: list[Gradient]) -> Array:
-    """Differences of their slopes, (3, 3)."""
+    """Return the differences of their slopes, (3, 3)."""
     return np.array([whole.slopes - part.slopes for whole, part in zip(moved, still, strict=True)])
 
 
 def _sloped(table: _Table, direction: Array) -> tuple[list[Gradient], list[Gradient]]:
-    """Force and couple with their slopes, along the axis the mean of those on both sides."""
+    """Return the force and couple with their slopes, along the axis the mean of those on both sides."""
     force, couple = table.static(direction)
     if math.hypot(direction[1], direction[2]) < _ALONG:
         for column in (1, 2):
@@ -220,7 +220,7 @@ class _Table:
         return out
 
     def static(self, direction: Array) -> tuple[list[Gradient], list[Gradient]]:
-        """Force and moment per rho S / 2 at V = 1."""
+        """Return the force and moment per rho S / 2 at V = 1."""
         u, v, w = flow = [Gradient(x, row) for x, row in zip(direction, np.eye(3), strict=True)]
         c = self._coefficients(flow)
         normal, axial = float(self.aero.force_factor), float(self.aero.axial_factor)
@@ -249,7 +249,7 @@ class _Table:
         return [square * force for force in (x, y, z)], [square * moment for moment in moments]
 
     def rates(self, direction: Array) -> tuple[Array, Array]:
-        """Force and moment per body rate and rho S V / 2."""
+        """Return the force and moment per body rate and rho S V / 2."""
         c = [g.value for g in self._coefficients([Gradient(x, np.zeros(3)) for x in direction])]
         r = incidence
         force = np.array([[0.0, 0.0, 0.0], [c[r.CYP], 0.0, c[r.CYR]], [0.0, -c[r.CNQ], 0.0]])

@@ -92,7 +92,7 @@ def vehicle_plant(
     liquids: Liquids | None = None,
     wind: bool = False,
 ) -> StateSpace:
-    """Motion of the actuators, which engines follow or swing on -> rates, of body, modes and pendulums.
+    """Return the plant from actuator motion, which engines follow or swing on, to rates of body, modes and pendulums.
 
     States w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad), G'
     (rad/s), angle and rate of each engine on a TVC load; inputs `inputs_of`, outputs OUTPUTS, of which the local rate
@@ -122,7 +122,7 @@ def vehicle_plant(
 
 
 def alone(whole: StateSpace, vehicle: PlanarVehicle, wind: bool = False) -> StateSpace:
-    """The plane itself of a plant of both: body, liquid and gimbal of the other are held."""
+    """Return one plane of a plant of both, with the body, liquid and gimbal of the other plane held."""
     if vehicle.across is None:
         return whole
     inputs, outputs = inputs_of(vehicle) + (("wind_mps",) if wind else ()), outputs_of(vehicle)
@@ -150,7 +150,7 @@ def _with_printed_tanks(vehicle: PlanarVehicle, errata: Errata, liquids: Liquids
 
 
 def as_printed(pendulums: Pendulums, liquids: Liquids, radius: bool, liquid: bool) -> Pendulums:
-    """The pendulums of eqs 22, 23 and 25 with their errata left in.
+    """Return the pendulums of eqs 22, 23 and 25 with their errata uncorrected.
 
     `radius` False: the diameter in place of the radius. `liquid` False: all propellant in place of that in the tank.
     Mass and place of the liquid follow from the true pendulum; the hinge, which the paper does not give, is placed by
@@ -181,5 +181,5 @@ def _mass_ratio(radius: Array, height: Array) -> Array:
 
 
 def _hinge_above(radius: Array, height: Array, length: Array) -> Array:
-    """Height of the hinge above the liquid's CG."""
+    """Return the height of the hinge above the liquid's CG."""
     return np.asarray(0.5 * height - 2.0 * radius / XI * np.tanh(0.5 * XI * height / radius) + length)

@@ -68,7 +68,7 @@ def cuts_of(pool: Array, row: Any, clock_s: float, pitch: bool) -> Cuts | None:
 
 
 def bending_moments(e: Any, cuts: Cuts, lateral: Array, turning: Array, bending: Array) -> list[Array]:
-    """A row each cut, N m, from the accelerations of body and modes."""
+    """Return the bending moments (N m), one row for each cut, from the accelerations of body and modes."""
     total, first, second = cuts.whole
     scale, cg = e.mass / total, e.cg
     # the flow's Coriolis force acts where the propellant flows: spread as the mass is

@@ -53,7 +53,7 @@ class Pendulums:
     swing_rad: Array  # at which they do: that of a flight (node.with_swings), 0 of a vehicle that none has flown
 
     def small_wave_damping(self, load_mps2: float) -> Array:
-        """Damping ratio in small waves, where baffles do nothing yet, under an axial load."""
+        """Return the damping ratio in small waves, where baffles have no effect, under an axial load."""
         return np.asarray(self.damping_ratio + self.viscous * np.maximum(load_mps2, 1e-9) ** -0.25)
 
     def damping(self, load_mps2: float) -> Array:
@@ -100,7 +100,7 @@ class Modes:
     along: Along | None = None  # None: nothing moves along x
 
     def at_gimbal(self, gimbal: int) -> tuple[Array, Array]:
-        """Shapes and slopes at one of the gimbals' stations."""
+        """Return the shapes and slopes at one of the gimbals' stations."""
         return (self.phi_gimbal, self.slope_gimbal_pm) if gimbal == 0 else self.further_gimbals[gimbal - 1]
 
 
@@ -121,7 +121,7 @@ class PlanarVehicle:
 
     @property
     def engine(self) -> GimballedEngine:
-        """The first."""
+        """Return the first engine."""
         return self.engines[0]
 
     @property
@@ -164,7 +164,7 @@ class PlanarVehicle:
 
     @property
     def total_inertia_kgm2(self) -> float:
-        """Transverse inertia about that CG with the liquid frozen."""
+        """Return the transverse inertia about that CG with the liquid frozen."""
         b, p, cg = self.body, self.pendulums, self.total_cg_station_m
         core = b.core_inertia_kgm2 + b.core_mass_kg * (b.core_cg_station_m - cg) ** 2
         inertia: float = core + (p.mass_kg * (p.bob_station_m - cg) ** 2).sum(axis=0)
@@ -249,7 +249,7 @@ def _modes(vehicle: Any, sizes: Any, props: Array, plane: str) -> Modes:
     shapes = schedule.MODE_FIRST + tanks
 
     def rows(first: int, count: int, every: int = 1) -> Array:
-        """Rows of the plane for its modes, (n, count)."""
+        """Return the rows of the plane for its modes, (n, count)."""
         at = [schedule.mode_column(sizes, int(not pitch), first + every * k) for k in range(count)]
         return np.array(props[np.array(at, int)[None, :] + np.arange(n)[:, None]])
 
@@ -337,7 +337,7 @@ def _with_spatial(vehicle: Any, sizes: Any, props: Array, plane: str, of_plane: 
 
 
 def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: str) -> tuple[GimballedEngine, ...]:
-    """Each of the simulator's engines. Angles of the other plane, and what allocation sends there, are left out."""
+    """Return the simulator's engines in one plane, without the angles and allocated commands of the other plane."""
     vehicle, e, sizes = row.vehicle, row.vehicle.engine, row.vehicle.sizes
     pitch, n = plane == "pitch", int(sizes.engines)
     thrusts = [props[schedule.thrust_column(sizes, int(e.curve[k]))] for k in range(n)]
@@ -380,7 +380,7 @@ def _engines(packed: Packed, row: Any, props: Array, time_s: float, plane: str) 
 
 
 def _gains(packed: Packed, row: Any, time_s: float, plane: str) -> list[float]:
-    """Angle of each group per command of the law in this plane."""
+    """Return the angle of each group per command of the law in this plane."""
     a, axis = row.computer.allocation, 0 if plane == "pitch" else 1
     if a.groups == 1:
         return [1.0]
@@ -390,7 +390,7 @@ def _gains(packed: Packed, row: Any, time_s: float, plane: str) -> list[float]:
 
 
 def with_pendulums(vehicle: PlanarVehicle, pendulums: Pendulums) -> PlanarVehicle:
-    """The vehicle with other pendulums and the same total mass, CG and inertia, liquid frozen.
+    """Return the vehicle with other pendulums and the same total mass, CG and inertia, liquid frozen.
 
     The core makes up the difference. Raises ValueError where no core is left.
     """
