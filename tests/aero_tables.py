@@ -65,7 +65,7 @@ def flying(aero: Tree, velocity_B_mps: list[float], **changes: Any) -> Rig:
 
 
 def burning(stage: Tree, mass: Tree, velocity_B_mps: list[float], **changes: Any) -> Rig:
-    """The same with keys of the stage and of its mass changed."""
+    """Return the same vehicle with changed keys of the stage and of its mass."""
     start = {"euler_deg": [0.0, 0.0, 0.0], "ned_mps": velocity_B_mps}
     tree = scenario_of(PARTS, initial=start, atmosphere=AIR, vehicle={"reference": REFERENCE})
     return rig(merged(with_stage(tree, mass=mass, **stage), changes))

@@ -45,7 +45,7 @@ FAULTS = """(() => {
 
 
 def plots() -> list[Plot]:
-    """Every kind of series, and numbers of every size."""
+    """Return every kind of series, with numbers of every size."""
     t, random = np.linspace(0.0, 60.0, 200), np.random.default_rng(1)
     values = random.normal(5.0, 1.0, 200)
     v: Any = SimpleNamespace(name="gimbal", metric="max_gimbal_deg", unit="deg", kind="limit", bound=6.5)

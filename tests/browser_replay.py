@@ -29,7 +29,7 @@ PATIENCE_S = 90.0  # WebAssembly of 40 MB, compiled and drawn in software
 
 
 def browser() -> str:
-    """The browser's program; skips, saying why, where there is none."""
+    """Return the browser's program, or skip the test with a reason if there is none."""
     for name in ("chromium", "chromium-browser", "google-chrome"):
         if (found := shutil.which(name)) is not None:
             return found
@@ -133,7 +133,7 @@ def test_the_page_shows_the_flight(served: tuple[str, int], page: Page) -> None:
 
 
 def _is_replay(picture: np.ndarray) -> bool:
-    """The close-up on the left, plots in the middle and text on the right have all something in them."""
+    """Return True if the close-up (left), the plots (middle) and the text (right) all have content."""
     height, width = picture.shape
     rows = slice(height // 8, -height // 8)
     parts = [picture[rows, a * width // 20 : b * width // 20] for a, b in ((4, 7), (9, 12), (12, 15), (17, 20))]

@@ -69,7 +69,7 @@ def small(folder: Path, name: str = "small", **parts: object) -> LoadedCampaign:
 
 
 def data_set(folder: Path) -> pa.Table:
-    """All that was recorded, in order of runs."""
+    """Return all recorded data, in the order of the runs."""
     return pq.read_table(folder / "runs").sort_by("run").combine_chunks()
 
 
@@ -80,7 +80,7 @@ def data_set_of(folder: Path) -> pa.Table:
 
 
 def same(a: pa.Table, b: pa.Table) -> bool:
-    """Equal bit by bit; nan equals nan."""
+    """Return True if both are bitwise equal, where nan equals nan."""
     if a.schema != b.schema or len(a) != len(b):
         return False
     return all(

@@ -26,7 +26,7 @@ class Pair:
         return Pair(self.x / square, -self.y / square)
 
     def log(self) -> tuple[Any, Any]:
-        """ln of the magnitude and, within a quarter turn, the angle."""
+        """Return ln of the magnitude and, within a quarter turn, the angle."""
         return 0.5 * np.log(self.x**2 + self.y**2), np.arctan(self.y / self.x)
 
 

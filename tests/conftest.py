@@ -53,7 +53,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(autouse=True)
 def _pictures_read_well(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Whatever a test draws has no clipped or overlapping text, but where it is marked `crowded`."""
+    """Check that no drawn text is clipped or overlaps, except in tests marked `crowded`."""
     found: list[str] = []
 
     def settled(figure: Figure) -> None:

@@ -26,7 +26,7 @@ TIMES_S = tuple(float(t) for t in range(5, 60, 5))  # the paper's
 
 @cache
 def nominal(*overrides: str) -> LoadedScenario:
-    """With the design made by hand: figures in tests and pages stay when an optimiser finds a better one."""
+    """Return the vehicle with the hand-made design, so that numbers in tests do not depend on the optimiser."""
     return load_scenario("nominal", ['design="designs/ksr3-default.toml"', *overrides])
 
 

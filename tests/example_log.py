@@ -39,7 +39,7 @@ Samples = tuple[IntArray, Array]
 
 
 def samples(group: str, rate_hz: int, duration_s: float) -> Samples:
-    """Random bits of every kind that a double can hold: signed zeros, denormals, infinities, many NaNs."""
+    """Return random bits of every kind that a double can hold: signed zeros, denormals, infinities, many NaNs."""
     n = round(rate_hz * duration_s)
     random = np.random.default_rng([rate_hz, n])
     values = random.normal(size=(n, len(TABLE.columns(group))))

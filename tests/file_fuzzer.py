@@ -326,7 +326,7 @@ values = st.one_of(numbers, numbers, st.sampled_from(TEXTS), st.sampled_from(NES
 
 
 def from_schema(schema: dict[str, Any], root: dict[str, Any], depth: int = 0) -> st.SearchStrategy[Any]:
-    """Values of which most are what the schema asks for; numbers also beyond its bounds."""
+    """Return values, most of which satisfy the schema; some numbers are beyond its bounds."""
     if "$ref" in schema:
         return from_schema(root["$defs"][schema["$ref"].rpartition("/")[2]], root, depth)
     if "enum" in schema or "const" in schema:
@@ -436,7 +436,7 @@ def mutated(draw: st.DrawFn, kind: str) -> str:
 
 
 def toml(tree: dict[str, Any]) -> str:
-    """TOML also of what tomli_w cannot write."""
+    """Return TOML, also of values that tomli_w cannot write."""
     try:
         return tomli_w.dumps(tree)
     except (TypeError, ValueError):  # an integer of thousands of digits, a lone surrogate
@@ -464,7 +464,7 @@ BYTES = [
 
 @st.composite
 def damaged(draw: st.DrawFn, text: str) -> bytes:
-    """Some bytes taken out, doubled, or put in."""
+    """Return the bytes with some removed, doubled, or inserted."""
     data = text.encode(errors="replace")
     for _ in range(draw(st.integers(1, 3))):
         at = draw(st.integers(0, len(data)))

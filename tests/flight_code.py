@@ -28,5 +28,5 @@ def compiled(folder: Path, source: Path, name: str, *flags: str, program: bool =
 
 
 def flies(**computer: object) -> list[str]:
-    """Overrides with which a scenario flies code from outside."""
+    """Return overrides with which a scenario flies external code."""
     return ["vehicle.computer.law=external", *(f"vehicle.computer.{key}={value}" for key, value in computer.items())]

@@ -126,7 +126,7 @@ EMPTY_SPACE: Tree = {
 
 
 def composed(parts: Parts) -> tuple[float, Array, Array]:
-    """Mass, CG (station, y, z) and inertia tensor about it of the whole, bobs at rest behind their hinges."""
+    """Return the total mass, CG (station, y, z) and inertia tensor about it, with bobs at rest behind their hinges."""
     masses = [parts.core_mass_kg, *(tank.mass_kg for tank in parts.tanks)]
     places = [np.array([-parts.core_cg[0], parts.core_cg[1], parts.core_cg[2]])]
     places += [np.array([-(tank.hinge_station_m + tank.length_m), *tank.place_m]) for tank in parts.tanks]
@@ -328,7 +328,7 @@ class Rig:
         return self.derivative_within(y, round(1e9 * time_s), 0.0)
 
     def derivative_within(self, y: Array, now_ns: int, elapsed_s: float) -> Array:
-        """As `derivative`, `elapsed_s` into a step that starts at `now_ns`."""
+        """Return the derivative at `elapsed_s` of a step that starts at `now_ns`."""
         full = np.zeros(MAX_STATE)
         full[: self.n] = y
         evaluate_into(self.packed.parameters, self.packed.pool, self.packed.memory, full, now_ns, elapsed_s, self.space)

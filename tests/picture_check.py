@@ -13,7 +13,7 @@ from maxq.tools.plots.style import dense, settle
 
 
 def faults(figure: Figure) -> list[str]:
-    """As `settled_faults`, of a figure that is not laid out yet."""
+    """Lay out a figure and return its `settled_faults`."""
     settle(figure)
     return settled_faults(figure)
 

@@ -89,7 +89,7 @@ class PidDesign:
 
     @staticmethod
     def of(_: Design) -> PidDesign:
-        """Whatever the file says: no key of it is this law's."""
+        """Return fixed gains, since the file has no keys for this law."""
         return PidDesign(np.array([0.0]), np.array([[0.5], [1.0], [0.05]]))
 
     def at(self, time_s: float, plane: str, sample_s: float | None) -> Pid:

@@ -19,7 +19,7 @@ OLD_LOG = Path(__file__).parent / "data" / "logs" / "schema-1" / "flight.mcap"
 
 @contextmanager
 def headless_viewer(window: str = "1280x720") -> Iterator:
-    """A viewer to be driven. Skips where there is no driver to draw with; in CI that is a failure."""
+    """Yield a viewer to control. Without a graphics driver, skip the test, or fail it in CI."""
     try:
         with viewer.headless(window) as connected:
             client = connected()

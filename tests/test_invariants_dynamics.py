@@ -91,7 +91,7 @@ def free_flight(step_s: float, parts: Parts = PARTS, moving: bool = False) -> Ri
 
 
 def _without_engine(made: Rig, start: State) -> Array:
-    """As `to_simulator`, for an ideal actuator, whose states say nothing."""
+    """Return `to_simulator` for an ideal actuator, whose states have no meaning."""
     plain = rig(scenario_of(replace(PARTS)))
     return to_simulator(plain, start)
 

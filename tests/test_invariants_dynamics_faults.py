@@ -24,7 +24,7 @@ SHORT = ("run.duration_s=0.5", "run.stop_at=[]")
 
 # --- propellant: depleted once, and by what flows out
 def powered() -> Rig:
-    """The nominal vehicle, held in the air so that its schedule can be read at any time."""
+    """Return the nominal vehicle, held in the air so that its schedule can be read at any time."""
     return rig_of(load_scenario("nominal", ["initial.held=false"]))
 
 

@@ -141,7 +141,7 @@ def test_every_stage_has_its_events(tmp_path: Path) -> None:
 
 
 def turned(q: Array, v: tuple[float, float, float]) -> Array:
-    """Vectors q v q* for quaternions (n, 4), scalar first."""
+    """Return the vectors q v q* for quaternions (n, 4), scalar first."""
     w, u = q[:, :1], q[:, 1:]
     t = 2.0 * np.cross(u, np.array(v))
     return np.asarray(v + w * t + np.cross(u, t))

@@ -94,7 +94,7 @@ LATE = ("nodes_s=[45.0, 50.0, 55.0]", "filter.structure=F4", "search.starts=3", 
 
 
 def missed_between(s, loaded) -> float:
-    """By how many dB (0.2 dB/deg) the worst instant of each tenth of a second misses the margins, by design/margins."""
+    """Return by how many dB (0.2 dB/deg) the worst instant of each 0.1 s misses the margins, by design/margins."""
     nodes = maxq.nodes(loaded.scenario, np.arange(45.0, 55.05, 0.1).round(3))
     found = judge(nodes, make_design(loaded, s), "pade")
     assert all(j.margins.stable for j in found)

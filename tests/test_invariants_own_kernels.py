@@ -166,7 +166,7 @@ DECORATORS = ROUTINES | {"kernel", "formula", "entry", "from_python"}
 
 
 def modules_used(path: Path) -> set[str]:
-    """Modules of maxq from which the compiled functions of a file, or its constants, take a name."""
+    """Return the modules of maxq from which the compiled functions of a file, or its constants, take a name."""
     tree, origin = ast.parse(path.read_text()), dict[str, str]()
     for node in tree.body:
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("maxq."):

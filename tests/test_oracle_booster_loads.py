@@ -91,7 +91,7 @@ def section(points: list[tuple[float, Array]], extra_kgm2: float = 0.0, axis: tu
 
 
 def in_tank(side: Tree) -> tuple[float, float]:
-    """y and z of the axis of a booster's tank."""
+    """Return y and z of the axis of a booster's tank."""
     return side["at"][0] + TANK_AT[0], side["at"][1] + TANK_AT[1]
 
 

@@ -184,7 +184,7 @@ class Stage:
         return np.array([[xx, -xy, -xz], [-xy, yy, -yz], [-xz, -yz, zz]])
 
     def place(self, t: float, station: float, y: float = 0.0, z: float = 0.0) -> Vector:
-        """From the CG to a point of the body, in B."""
+        """Return the vector from the CG to a point of the body, in B."""
         _, x_cg, y_cg, z_cg = self.props(t)[:4]
         return np.array([x_cg - station, y - y_cg, z - z_cg])
 

@@ -317,7 +317,7 @@ def moment_per_angle(made: Rig, axis: int) -> tuple[float, float]:
 
 
 def swing(made: Rig, axis: int, angle_rad: float, accel_radps2: float) -> Array:
-    """Actuator states of one axis at an angle and acceleration without rate."""
+    """Return the actuator states of one axis at an angle and acceleration, without rate."""
     pick = np.eye(2)[axis]
     return engine_states(made, angle_rad * pick, 0.0 * pick, accel_radps2 * pick)
 

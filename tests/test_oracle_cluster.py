@@ -66,7 +66,7 @@ def with_engines(parts: Parts, engines: list[Tree], **more: Any) -> Rig:
 
 
 def moving(made: Rig, seed: int, rate: float = 0.6) -> Array:
-    """A state with all actuators in motion, all of a plane alike if `seed` is even."""
+    """Return a state with all actuators in motion, equal within a plane if `seed` is even."""
     rng = np.random.default_rng(seed)
     y = made.y.copy()
     y[layout.W_BI_B : layout.W_BI_B + 3] = rate * rng.normal(size=3)

@@ -73,7 +73,7 @@ del SPACE["earth"]["uniform_mps2"]
 
 
 def in_space(speed_mps: float, more: Tree, **stage: object) -> Flight:
-    """A flight north without gravity from 100 m/s, with thrust along it, cut off at an inertial speed."""
+    """Return a flight north from 100 m/s without gravity, with thrust along it up to a given inertial speed."""
     changes: Tree = {
         "initial": {"euler_deg": [0.0, 0.0, 0.0], "ned_mps": [100.0, 0.0, 0.0]},
         "guidance": {"cutoff": {"inertial_speed_mps": speed_mps}},

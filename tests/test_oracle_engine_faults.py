@@ -41,7 +41,7 @@ def table_of(made: Packed):
 
 
 def thrust_N(made: Packed, time_s: float) -> float:
-    """Vacuum thrust of all engines."""
+    """Return the vacuum thrust of all engines."""
     row, e = table_of(made)(time_s), made.parameters[0].vehicle.engine
     sizes = made.parameters[0].vehicle.sizes
     first = len(row) - int(sizes.thrust_curves) + 1

@@ -28,7 +28,7 @@ TABLE_S, TABLE = np.array([2.0, 3.5, 5.0, 6.0]), np.array([[0.0, 1.0], [4.0, 2.0
 
 
 def injected(form: int, *, replaces: int = 0, table=NO_TABLE) -> Any:
-    """Two signals of one form: 3 on the pitch command, -1 on the yaw command."""
+    """Return two signals of one form: 3 on the pitch command, -1 on the yaw command."""
     whole, real = np.zeros(MAX_INJECTIONS, np.int64), np.zeros(MAX_INJECTIONS)
     tones = np.zeros((2, MAX_INJECTIONS, MAX_TONES))
     tones[0, :, :3], tones[1, :, :3] = TONES_HZ, PHASES

@@ -120,7 +120,7 @@ def test_surfaces_and_cross_flow_meet_their_own_wind() -> None:
 
 
 def shape(mode: Any, station: float) -> float:
-    """Cubic with the slopes given at the stations, by hand."""
+    """Return the cubic with the given slopes at the stations."""
     x = np.array(PARTS.stations_m)
     k = int(np.searchsorted(x, station) - 1)
     h, t = x[k + 1] - x[k], (station - x[k]) / (x[k + 1] - x[k])

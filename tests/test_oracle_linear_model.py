@@ -236,7 +236,7 @@ def test_matrices_of_a_dispersed_liquid_are_equal(flight: Flight, exchange: bool
 
 
 def _engine_motion(block: StateSpace) -> Array:
-    """Engine angle, rate and acceleration per actuator state (6, 3)."""
+    """Return the engine angle, rate and acceleration per actuator state (6, 3)."""
     n = VEHICLE_STATES
     a, angle = block.a[n : n + 6, n : n + 6], block.c[1, n : n + 6]
     return np.stack([angle, angle @ a, angle @ a @ a], axis=1)

@@ -41,7 +41,7 @@ def sampled_loops(draw: st.DrawFn) -> TransferLoop:
 
 
 def outside(loop: TransferLoop, gain: float = 1.0) -> tuple[int, bool]:
-    """Closed-loop poles outside the unit circle, and whether that is certain."""
+    """Return the number of closed-loop poles outside the unit circle, and True if this number is certain."""
     z = np.roots(np.polyadd(gain * np.asarray(loop.numerator), loop.denominator))
     return int((np.abs(z) > 1.0).sum()), bool((np.abs(np.abs(z) - 1.0) > 1e-5).all())
 

@@ -25,7 +25,7 @@ ENGINES = ((13, 200.0, 0.6, (0.5, -0.2), (4.0, -5.0), 30.0), (12, 120.0, 0.45, (
 
 
 def fields() -> tuple[Array, Array]:
-    """Displacements and rotations (16, 15, 3) of the sections: powers 0 to 3 of x along y, z, x and about x."""
+    """Return displacements and rotations (16, 15, 3) of the sections: powers 0 to 3 of x along y, z, x and about x."""
     move, turn = np.zeros((2, 16, SECTIONS, 3))
     for power in range(4):
         value, slope = (X / 7.0) ** power, power * (X / 7.0) ** max(power - 1, 0) / 7.0

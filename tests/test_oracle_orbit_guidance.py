@@ -69,7 +69,7 @@ class Burn:
         )
 
     def gravitation(self, r: Array) -> Array:
-        """Minus the gradient of the potential, by differences of it: complex step."""
+        """Return minus the gradient of the potential, by a complex step."""
         out = np.empty(3)
         for k in range(3):
             x = r.astype(complex)

@@ -180,7 +180,7 @@ def pid_case(loop: str) -> Any:
 
 
 def log_abs_and_phase(own: Any, s: complex, paths: list[complex]) -> tuple[Any, Any]:
-    """ln|L| and arg L of F3 with PID; own = one quadratic, one first-order section, ln of gains."""
+    """Return ln|L| and arg L of F3 with PID; own = one quadratic, one first-order section, ln of gains."""
     terms = [Pair(p.real, p.imag) * np.exp(k) for p, k in zip(paths, own[6:], strict=True)]
     return ((terms[0] + terms[1] + terms[2]) * filter_f3(own, s)).log()
 

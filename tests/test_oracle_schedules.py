@@ -63,7 +63,7 @@ def test_computer_takes_its_gains_at_what_it_is_given(over: str) -> None:
 
 
 def density_kgpm3(altitude_m: float) -> float:
-    """US Standard Atmosphere 1976 below 11 km."""
+    """Return the density of the US Standard Atmosphere 1976 below 11 km."""
     h = 6356766.0 * altitude_m / (6356766.0 + altitude_m)
     t = 288.15 - 0.0065 * h
     return 101325.0 * (t / 288.15) ** (9.80665 / (287.0528 * 0.0065)) / (287.0528 * t)

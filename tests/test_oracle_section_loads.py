@@ -98,7 +98,7 @@ def test_a_rod_that_stands_on_the_pad_bears_its_weight() -> None:
 
 
 def wind_on(surfaces: list[tuple[float, float]], **table: float) -> Tree:
-    """Aerodynamics with lifting parts of slope and station."""
+    """Return aerodynamics with lifting parts of these slopes and stations."""
     made: Tree = {"table": {"mach": [0.0], **{name: [value] for name, value in table.items()}}}
     made["surface"] = [
         {"name": str(k), "table": {"mach": [0.0], "CN_alpha_pr": [slope], "station_m": [x]}}
@@ -130,7 +130,7 @@ NODES, EVERY = 241, 4  # of the finite elements; every fourth in the vehicle's t
 
 
 def a_beam(axial_N: Array | float = 0.0) -> Beam:
-    """Unlike sections and a point of mass in the nose."""
+    """Return a beam of unequal sections with a point mass in the nose."""
     x = np.linspace(0.0, LENGTH_M, NODES)
     middle = 0.5 * (x[1:] + x[:-1])
     density = np.where(middle < 4.0, 200.0, np.where(middle < 9.0, 700.0, 400.0))

@@ -107,7 +107,7 @@ DENSITY = 1141.0
 
 
 def cylinder(**more: Any) -> str:
-    """KSR-III's LOX tank by its shape, in TOML."""
+    """Return KSR-III's LOX tank by its shape, in TOML."""
     stage = load_scenario("nominal").vehicle.stage[0]
     table = stage.tank[0].table
     masses = DENSITY * math.pi * 0.49**2 * table["liquid_height_m"]

@@ -421,7 +421,7 @@ def test_lateral_modes_of_unlike_planes_move_as_particles_do() -> None:
 
 # --- conservation
 def coupled(rng: np.random.Generator) -> list[tuple[float, float, float, Array]]:
-    """Five modes of no symmetry: all six components of each differ from zero."""
+    """Return five modes without symmetry: all six components of each differ from zero."""
     x = np.array(STATIONS) / 14.0
     modes = []
     for n in range(5):

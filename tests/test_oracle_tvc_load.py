@@ -355,7 +355,7 @@ def load_of(damping_ratio: float) -> str:
 
 
 def engine_on_compliance_hz(time_s: float) -> Array:
-    """Modes of KSR-III's file and its engine on 15.6 Hz: mass and stiffness matrices, nothing of maxq's model."""
+    """Return the modes of KSR-III's file with its engine on 15.6 Hz, from matrices independent of maxq."""
     folder = Path(scenarios_folder()) / "vehicles/ksr3"
     lines = [line for line in (folder / "modes.csv").read_text().splitlines() if line and not line.startswith("#")]
     head = lines[0].split(",")

@@ -157,7 +157,7 @@ def test_one_changed_gain_redoes_its_neighbours_only(nodes: list[Node], design: 
 
 
 def _with_more_gain(design: Design, time_s: float) -> Design:
-    """k_p of one row 1 % higher."""
+    """Return the design with k_p of one row 1 % higher."""
     from maxq.sim.input.documents import Source, adopt, plain  # noqa: PLC0415  # for this helper only
 
     table = design.gains.table

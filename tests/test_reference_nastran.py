@@ -124,7 +124,7 @@ ROLLING_KGM2 = LUMPS_KG / 4200.0 * 800.0  # under the torsion's cosine half of i
 
 
 def conm2(factor: float = 1.0) -> str:
-    """Free field, small field with a continuation, and large field; a part of one is off the axis."""
+    """Return CONM2 cards in free, small (continued) and large field; part of one mass is off the axis."""
     out = []
     for n, (kg, about_x) in enumerate(zip(factor * LUMPS_KG, factor * ROLLING_KGM2, strict=True)):
         if n == 1:

@@ -29,7 +29,7 @@ def differences(case: str) -> list[LargestDifference]:
 
 
 def outside(found: list[LargestDifference]) -> list[str]:
-    """Variables that miss their tolerance; one that is not a number misses it too."""
+    """Return the variables that miss their tolerance; nan also misses it."""
     return [f"{d.variable}: {d.largest:.3g} > {d.tolerance:.3g}" for d in found if not d.ratio <= 1.0]
 
 

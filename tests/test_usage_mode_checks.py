@@ -30,7 +30,7 @@ def beam(n: int) -> tuple[np.ndarray, np.ndarray]:
 def rows(
     change: Callable[[dict[str, float]], None] = lambda row: None, times: tuple[float, ...] = (0.0, 50.0)
 ) -> list[Tree]:
-    """Two times of a uniform beam of 4200 kg; `change` alters a row."""
+    """Return rows for two times of a uniform beam of 4200 kg; `change` alters a row."""
     out = []
     for time_s in times:
         for n in range(3):

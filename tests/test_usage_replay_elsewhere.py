@@ -62,7 +62,7 @@ FOXGLOVE_PANELS = {"3D", "Plot", "RosOut"}
 
 
 def values(node: Any, key: str) -> Iterator[Any]:
-    """All values of a key anywhere in a tree."""
+    """Return all values of a key anywhere in a tree."""
     if isinstance(node, dict):
         for name, value in node.items():
             if name == key:

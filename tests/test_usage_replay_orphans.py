@@ -25,7 +25,7 @@ pytestmark = pytest.mark.skipif(
 
 
 def viewers_of(process: subprocess.Popen[bytes]) -> list[psutil.Process]:
-    """Waits for viewers below a process; fails where it ends without any."""
+    """Return the viewers of a process. Wait for them, and fail if the process ends without any."""
     deadline = time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline and process.poll() is None:
         if found := [c for c in psutil.Process(process.pid).children(recursive=True) if is_viewer(c)]:
@@ -35,7 +35,7 @@ def viewers_of(process: subprocess.Popen[bytes]) -> list[psutil.Process]:
 
 
 def is_viewer(process: psutil.Process) -> bool:
-    """The viewer itself, not its program run for a moment to set it up."""
+    """Return True for the viewer itself, not for its short set-up process."""
     try:
         return process.name().startswith("rerun") and "--bind" in process.cmdline()
     except psutil.Error:

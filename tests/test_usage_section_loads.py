@@ -156,7 +156,7 @@ def test_channels_are_there_with_the_switch_only() -> None:
 
 @pytest.fixture(scope="module")
 def flights() -> tuple[Flight, Flight, Flight]:
-    """KSR-III for 15 s: without section loads, with them, and with them and a log."""
+    """Return flights of KSR-III for 15 s: without section loads, with them, and with them and a log."""
     changes = ["run.duration_s=15.0", "log.slow_hz=500"]
     on = [*changes, "switches.section_loads=true"]
     return (

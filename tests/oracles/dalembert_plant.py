@@ -80,7 +80,7 @@ class _Layout:
 
 
 def dalembert_plant(vehicle: PlanarVehicle, condition: FlightCondition) -> StateSpace:
-    """As `vehicle_plant` with all errata corrected."""
+    """Return the plant of `vehicle_plant` with all errata corrected."""
     at = _Layout(len(vehicle.modes.omega_radps), len(vehicle.pendulums.mass_kg))
     load = axial_load_mps2(vehicle, condition)
     if at.tanks > 0 and load <= 0.0:
@@ -210,7 +210,7 @@ def _bob_reach(vehicle: PlanarVehicle, at: _Layout, tank: int) -> Array:
 
 
 def _gimbal_arm(vehicle: PlanarVehicle) -> float:
-    """From the core's CG aft to the gimbal, m."""
+    """Return the distance from the core's CG aft to the gimbal, m."""
     return vehicle.engine.gimbal_station_m - vehicle.body.core_cg_station_m
 
 
@@ -235,7 +235,7 @@ def _first_order(
     condition: FlightCondition,
     at: _Layout,
 ) -> StateSpace:
-    """From second order in (lateral, theta, eta, G) to the states w, q, theta, eta, eta', G, G'."""
+    """Convert from second order in (lateral, theta, eta, G) to the states w, q, theta, eta, eta', G, G'."""
     n, m = at.modes, at.tanks
     eta, gamma = 3 + np.arange(n), 3 + 2 * n + np.arange(m)
     positions = np.concatenate([[2], eta, gamma])

@@ -67,7 +67,7 @@ def crossings(
 
 
 def response(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, sample_s: float | None, f_hz: float) -> complex:
-    """L at one frequency by a linear system in 60 digits."""
+    """Return L at one frequency, from a linear system in 60 digits."""
     with mp.workdps(60):
         x = 2j * mp.pi * mpf(f_hz) if sample_s is None else mp.exp(2j * mp.pi * mpf(f_hz) * mpf(sample_s))
         found = mp.lu_solve(mp.eye(len(a)) * x - mp.matrix(a.tolist()), mp.matrix(b.tolist()))
@@ -113,7 +113,7 @@ def real_roots(p: list[mpf], low: mpf, high: mpf) -> list[mpf]:
 
 
 def _along_circle(n: list[mpf], q: list[mpf]) -> tuple[list[mpf], list[mpf]]:
-    """Both polynomials in y = cos t, rising powers."""
+    """Return both polynomials in y = cos t, in rising powers."""
     length = len(q)
 
     def lag(u: list[mpf], v: list[mpf], k: int) -> mpf:
@@ -142,7 +142,7 @@ def _along_circle(n: list[mpf], q: list[mpf]) -> tuple[list[mpf], list[mpf]]:
 
 
 def _along_axis(n: list[mpf], q: list[mpf]) -> tuple[list[mpf], list[mpf]]:
-    """Both polynomials in w^2, rising powers."""
+    """Return both polynomials in w^2, in rising powers."""
 
     def parts(p: list[mpf]) -> tuple[list[mpf], list[mpf]]:
         """Return the even and odd part of p(j w), the latter over w, in w^2."""

@@ -77,7 +77,7 @@ def before(law: Law, delay_s: float = 0.02, order: int = 0) -> control.TransferF
 
 
 def loop(p: dict[str, float], law: Law, radps: np.ndarray, delay_s: float = 0.02, **of: float) -> np.ndarray:
-    """L at angular frequencies, with the exact delay."""
+    """Return L at angular frequencies, with the exact delay."""
     s = 1j * np.atleast_1d(radps)
     way = plant(p, **of)(s, squeeze=False)[:4, 0]
     return (law.gains @ way) * before(law)(s, squeeze=False)[0, 0] * np.exp(-delay_s * s)

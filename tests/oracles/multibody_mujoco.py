@@ -73,7 +73,7 @@ def _engine_body(engine: Engine, roll_free_gimbal: bool) -> str:
 
 
 def model_text(vehicle: Vehicle, bob_inertia_ratio: float = BOB_INERTIA_RATIO, roll_free_gimbal: bool = True) -> str:
-    """The MJCF text. Raises ValueError when the vehicle has mode pairs."""
+    """Return the MJCF text. Raises ValueError if the vehicle has mode pairs."""
     if vehicle.pairs:
         raise ValueError("the MuJoCo oracle has no bending; use multibody_sympy for a vehicle with mode pairs")
     parts = [_inertial(*_dry_core(vehicle))]
@@ -133,7 +133,7 @@ def accelerations(
     bob_inertia_ratio: float = BOB_INERTIA_RATIO,
     roll_free_gimbal: bool = True,
 ) -> dict[str, Floats]:
-    """Same answer, keys and units as `multibody_sympy.accelerations`; etaddot and xiddot are empty.
+    """Return the results of `multibody_sympy.accelerations`, with empty etaddot and xiddot.
 
     `actuator_torque_Nm` is left out when the gimbal may roll: MuJoCo's third hinge would share the torque.
     """
@@ -195,7 +195,7 @@ def energy(
     bob_inertia_ratio: float = BOB_INERTIA_RATIO,
     roll_free_gimbal: bool = True,
 ) -> dict[str, float]:
-    """MuJoCo's kinetic and potential energy in J, keys as `multibody_sympy.energy`.
+    """Return MuJoCo's kinetic and potential energy in J, with the keys of `multibody_sympy.energy`.
 
     Kinetic energy includes the engine in full; potential is zero with all masses in the plane of I's origin.
     """
@@ -210,7 +210,7 @@ def energy(
 def momentum(
     vehicle: Vehicle, state: State, *, bob_inertia_ratio: float = BOB_INERTIA_RATIO, roll_free_gimbal: bool = True
 ) -> dict[str, Floats]:
-    """MuJoCo's momenta, with the keys of `multibody_sympy.momentum`."""
+    """Return MuJoCo's momenta, with the keys of `multibody_sympy.momentum`."""
     model, data, _, _ = _set_up(vehicle, state, np.zeros(3), bob_inertia_ratio, roll_free_gimbal)
     mujoco.mj_subtreeVel(model, data)
     core = model.body("core").id

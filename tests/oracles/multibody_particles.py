@@ -47,7 +47,7 @@ def free_free_beam(mass_kg: Floats, x_B_m: Floats, n_pairs: int, rotor_kgm2: Flo
 
 
 def inertia(beam: Beam) -> Floats:
-    """J about C0 of the particles and the rotor, (3, 3)."""
+    """Return J about C0 of the particles and the rotor, (3, 3)."""
     along = float(beam.mass_kg @ beam.x_B_m**2)
     total: Floats = np.diag([0.0, along, along]) + beam.rotor_kgm2
     return total
@@ -56,7 +56,7 @@ def inertia(beam: Beam) -> Floats:
 def mode_pairs(
     beam: Beam, *, omega_radps: Floats, zeta: Floats, engine_particle: int, engine_length_m: float, slope_1pm: Floats
 ) -> tuple[ModePair, ...]:
-    """Symmetric pairs whose gimbal shape puts phi_E = phi_gimbal + l_E * slope on the engine's particle."""
+    """Return symmetric pairs whose gimbal shape puts phi_E = phi_gimbal + l_E * slope on the engine's particle."""
     pairs = []
     for shape, omega, damping, slope in zip(beam.phi, omega_radps, zeta, slope_1pm, strict=True):
         mass = float(beam.mass_kg @ shape**2)
@@ -83,7 +83,7 @@ class _Particle:
 def accelerations(
     beam: Beam, vehicle: Vehicle, state: State, load: Load | None = None, *, mount_turns_engine: bool = False
 ) -> dict[str, Floats]:
-    """Same keys and units as `multibody_sympy.accelerations`, without the actuators' torque.
+    """Return the keys and units of `multibody_sympy.accelerations`, without the actuators' torque.
 
     `vehicle` must describe the same core: mass, `inertia(beam)`, `mode_pairs(beam, ...)`, engine on the axis.
     Raises ValueError for an engine with inertia about its own CG.
@@ -167,7 +167,7 @@ def accelerations(
 
 
 def _engine_offset(engine: Engine, state: State) -> tuple[Floats, Floats, Floats]:
-    """Delta, its rate and second rate in B, by the chain rule on d's angles."""
+    """Return delta, its rate and second rate in B, by the chain rule on d's angles."""
     (dp, dy), (p, y), (pp, yy) = state.deflection_rad, state.deflection_radps, state.deflection_radps2
     cp, sp_, cy, sy = np.cos(dp), np.sin(dp), np.cos(dy), np.sin(dy)
     d_p, d_y = np.array([-sp_ * cy, 0.0, cp * cy]), np.array([-cp * sy, -cy, -sp_ * sy])

@@ -61,7 +61,7 @@ _X_HAT = sp.Matrix([1, 0, 0])
 
 
 def _euler_rotation() -> sp.Matrix:
-    """C_I'B for yaw, pitch, roll in this order."""
+    """Return C_I'B for yaw, pitch and roll in this order."""
     psi, theta, phi = _E
     return (
         sp.Matrix([[sp.cos(psi), -sp.sin(psi), 0], [sp.sin(psi), sp.cos(psi), 0], [0, 0, 1]])
@@ -76,7 +76,7 @@ def _rate(expression: sp.Matrix, q: Sequence[sp.Symbol], qd: Sequence[sp.Symbol]
 
 @cache
 def _attitude() -> tuple[sp.Matrix, sp.Matrix]:
-    """C_I'B and w_B as functions of Euler angles and rates; w from C' Cdot, not from memory."""
+    """Return C_I'B and w_B as functions of Euler angles and rates, with w derived from C' Cdot."""
     c = _euler_rotation()
     c_dot = sp.zeros(3, 3)
     for angle, rate in zip(_E, _ED, strict=True):
@@ -188,7 +188,7 @@ def _thrust_direction() -> sp.Matrix:
 
 
 def _engine_motion(length: sp.Symbol) -> tuple[sp.Matrix, sp.Matrix, sp.Matrix]:
-    """Delta, Deltadot and d x ddot in B."""
+    """Return Delta, Deltadot and d x ddot in B."""
     d = _thrust_direction()
     delta = -length * (d - _X_HAT)
     d_dot = _rate(d, _D, _DD)
@@ -272,7 +272,7 @@ def _pendulum_piece() -> _Piece:
 
 @cache
 def _kinematics() -> tuple[Numeric, Numeric]:
-    """Two numeric functions of angles and rates.
+    """Return two numeric functions of angles and rates.
 
     Attitude: C_I'B (9), dw/dedot (9), the part of wdot without second rates (3).
     Pendulum: u (3), du/dangles (6), the part of uddot without second rates (3).
@@ -357,7 +357,7 @@ _NO_ENGINE = Engine(0.0, 0.0, 0.0, np.zeros(3))
 
 
 def _pieces(vehicle: Vehicle, axes: list[Floats]) -> list[tuple[_Compiled, Floats, Floats]]:
-    """Every piece with its constants and its selection matrix S: own coordinates = S (all coordinates)."""
+    """Return every piece with its constants and its selection matrix S: own coordinates = S (all coordinates)."""
     n_pairs, n_pendulums = len(vehicle.pairs), len(vehicle.pendulums)
     total = 6 + 2 * n_pairs + 2 * n_pendulums + 2
     eye = np.eye(total)

@@ -113,7 +113,7 @@ class Load:
 
 
 def rotation_from_quaternion(q_BI: Floats) -> Floats:
-    """C_IB (3, 3) from the scalar-first quaternion that turns B components into I; any norm but zero."""
+    """Return C_IB (3, 3) of the scalar-first quaternion from B to I, of any norm except zero."""
     w, x, y, z = np.asarray(q_BI) / np.linalg.norm(q_BI)
     return np.array(
         [
@@ -125,7 +125,7 @@ def rotation_from_quaternion(q_BI: Floats) -> Floats:
 
 
 def quaternion_from_rotation(C_IB: Floats) -> Floats:
-    """Scalar-first q_BI (4,) of a proper rotation, by the eigenvector of Bar-Itzhack's symmetric matrix."""
+    """Return the scalar-first q_BI (4,) of a proper rotation, by the eigenvector of Bar-Itzhack's symmetric matrix."""
     c = np.asarray(C_IB)
     k = np.array(
         [

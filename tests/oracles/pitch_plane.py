@@ -353,7 +353,7 @@ def _add_air(f: Array, modal: slice, s: Snapshot, layout: _Layout) -> None:
 
 
 def plant(s: Snapshot, actuator_: Linear, gyro_: Linear) -> Linear:
-    """Gimbal command (rad) to the integral of the gyro's output (rad)."""
+    """Return the plant from gimbal command (rad) to the integral of the gyro's output (rad)."""
     a, b, angle = vehicle(s)
     n, na, ng = len(a), len(actuator_.a), len(gyro_.a)
     full = np.zeros((n + na + ng, n + na + ng))
@@ -368,7 +368,7 @@ def plant(s: Snapshot, actuator_: Linear, gyro_: Linear) -> Linear:
 
 
 def quantities(vehicle: VehicleFolder, t: float) -> dict[str, float]:
-    """Ours at time t, under the other table's names."""
+    """Return the values of maxq at time t, under the names of the other table."""
     s = snapshot(vehicle, t)
     mass, x_cg, roll, pitch, _ = vehicle.mass(t)
     _, altitude, speed, path_angle, _, thrust, _, pressure, mach = vehicle.flight(t)

@@ -18,7 +18,7 @@ LONG_STEP_NS = 10**12  # no step of the simulator's own between two instants
 
 
 def fly(made: Rig, duration_s: float, tolerance: float = 1e-11) -> Array:
-    """State (n,) after `duration_s`; `made` ends there too. Raises RuntimeError when the integrator gives up.
+    """Return the state (n,) after `duration_s`, where `made` also ends. Raises RuntimeError if the integrator gives up.
 
     `tolerance` is relative, and absolute in units of `scale`: metres for the position, 1e-3 for all that is
     small.

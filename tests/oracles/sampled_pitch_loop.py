@@ -49,7 +49,7 @@ def margins(loop: Response) -> Margins:
 
 
 def _negative_axis_crossings(loop: Response) -> Array:
-    """|L| where L meets the negative real axis, the ends of the grid included."""
+    """Return |L| where L meets the negative real axis, including the ends of the grid."""
     y0, y1 = loop.imag[:-1], loop.imag[1:]
     k = np.flatnonzero(np.signbit(y0) != np.signbit(y1))
     share = y0[k] / (y0[k] - y1[k])
@@ -98,7 +98,7 @@ class Discrete:
 
 
 def sampled_plant(plant: Linear, period_s: float, delay_s: float) -> Discrete:
-    """Plant with delay and hold at the samples; the last state is the command of the sample before."""
+    """Return the plant with delay and hold at the samples; its last state is the previous command."""
     n = len(plant.a)
     augmented = np.zeros((n + 1, n + 1))
     augmented[:n, :n], augmented[:n, n] = plant.a, plant.b
@@ -111,7 +111,7 @@ def sampled_plant(plant: Linear, period_s: float, delay_s: float) -> Discrete:
 
 
 def filter_polynomials(sections: list[Quadratic], period_s: float, prewarp_hz: float) -> tuple[Array, Array]:
-    """Numerator and denominator in z of the bending filter, bilinear, exact at `prewarp_hz`."""
+    """Return the numerator and denominator in z of the bending filter, bilinear, exact at `prewarp_hz`."""
     numerator: Array = np.ones(1)
     denominator: Array = np.ones(1)
     for q in sections:
@@ -124,7 +124,7 @@ def filter_polynomials(sections: list[Quadratic], period_s: float, prewarp_hz: f
 
 
 def law_polynomials(k_p: float, k_d_s: float, period_s: float) -> tuple[Array, Array]:
-    """k_p on the angle, k_d on its increment over the period, in z."""
+    """Return the law in z: k_p on the angle, and k_d on its increment over the period."""
     return np.array([k_p + k_d_s / period_s, -k_d_s / period_s]), np.array([1.0, 0.0])
 
 
@@ -152,7 +152,7 @@ def response(system: Discrete, frequency_hz: Array, period_s: float) -> Response
 
 
 def frequency_grid(plant: Discrete, period_s: float) -> Array:
-    """Nearly 0 to Nyquist, thickened around every lightly damped pole."""
+    """Return frequencies from nearly 0 to Nyquist, denser around lightly damped poles."""
     grid = [np.array([1e-5]), np.geomspace(2e-4, 0.5 / period_s, 800)]
     spread = np.concatenate([-np.geomspace(30, 0.05, 25), [0.0], np.geomspace(0.05, 30, 25)])
     for pole in np.log(plant_poles(plant)) / (2 * np.pi * period_s):

@@ -64,12 +64,12 @@ class State:
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """As np.cross for two vectors, at a fifth of its cost."""
+    """Return the cross product of two vectors, five times as fast as np.cross."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def gravitation(position: Vector) -> Vector:
-    """Gradient of mu/r (1 - J2 (a/r)^2 (3 sin^2 - 1) / 2), by a complex step: exact to rounding."""
+    """Return the gradient of mu/r (1 - J2 (a/r)^2 (3 sin^2 - 1) / 2), by a complex step: exact to rounding."""
     out = np.zeros(3)
     for axis in range(3):
         r = position.astype(complex)

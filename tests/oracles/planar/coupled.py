@@ -70,7 +70,7 @@ class Coupled:
         return out
 
     def settled(self) -> Array:
-        """Deflections at which thrust and the pull of the liquid along x hold the modes at rest."""
+        """Return the deflections at which thrust and the pull of the liquid along x hold the modes at rest."""
         one, along = self.one, self.one.vehicle.modes.along
         assert along is not None
         push = -one.specific_force * along.hinges @ one.vehicle.pendulums.mass_kg

@@ -283,7 +283,7 @@ class Equations:
         return np.asarray(force / modes.generalized_mass_kg[:, None])
 
     def matrices(self) -> tuple[Array, Array, Array, Array]:
-        """A, B, C and D; of many vehicles along the last axis."""
+        """Return A, B, C and D, of many vehicles along the last axis."""
         system, hinges, sensed = self.rows()
         whole, n = without_unknowns(joined(system, sensed), hinges), len(self.names)
         return whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]

@@ -118,7 +118,7 @@ Lift = tuple[float, Array, Array]
 
 
 def _air(e: Any, cuts: Cuts) -> tuple[list[Lift], tuple[Array, Array]]:
-    """Lifting parts, and the force a metre of the rest over the body: constant and slope, from its nose."""
+    """Return the lifting parts, and the force a metre of the rest over the body: constant and slope, from its nose."""
     air, (nose, tail) = e.vehicle.aerodynamics, cuts.ends_m
     flow = 0.5 * e.condition.density_kgpm3 * e.condition.airspeed_mps * air.area_m2
     force, first = e.air_force, e.cg * e.air_force + e.air_moment

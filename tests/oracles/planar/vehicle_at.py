@@ -156,7 +156,7 @@ class PlanarVehicle:
 
     @property
     def total_cg_station_m(self) -> float:
-        """CG with the liquid at rest."""
+        """Return the CG with the liquid at rest."""
         b, p = self.body, self.pendulums
         moment = b.core_mass_kg * b.core_cg_station_m + (p.mass_kg * p.bob_station_m).sum(axis=0)
         station: float = moment / (b.core_mass_kg + p.mass_kg.sum(axis=0))
