@@ -67,7 +67,7 @@ class Beam:
     ) -> list[BeamMode]:
         """Return the first `count` bending modes of the beam with the masses `rods` and the rigid boosters `carried`.
 
-        Shapes are scaled to 1 at the gimbal. If `clamped`, the aft end is fixed, as on the pad, and the scale is 1 at
+        Shapes are scaled to 1 at the gimbal. If `clamped`, the aft end is fixed, as on the pad, and the shapes are 1 at
         the nose.
         """
         density, behind = line_density_kgpm(rods, self.nodes_m)
