@@ -24,7 +24,7 @@ from maxq.sim.campaign.analysis import Band
 from maxq.tools.design import pictures
 from maxq.tools.design.open_loop import LoopPicture, Mark
 from maxq.tools.design.pictures_loop import contours, draw_loop
-from maxq.tools.pages.render import command, render, sentence
+from maxq.tools.pages.render import _environment, command, render, sentence
 from maxq.tools.plots import campaign, style
 from maxq.tools.plots.figures import Panel, Plot, as_csv, as_json, at, band, limit, line, points, thinned
 from maxq.tools.plots.palette import RED
@@ -280,3 +280,13 @@ def test_a_thinned_curve_stays_within_a_share_of_its_range() -> None:
     assert len(a) < 2500
     assert np.abs(np.interp(x, a, b) - y).max() < np.ptp(y) / 200.0
     assert (a[0], a[-1]) == (x[0], x[-1])
+
+
+def test_only_a_short_place_of_a_requirement_stays_on_one_line() -> None:
+    """A place of 197 characters on one line made the table of requirements 2038 pixels wide."""
+    cell: Any = _environment().get_template("elements.html.j2").module
+    short, long = "at 106.79 s, pitch, stage 1, as flown it", "at 53.8 s, yaw; sigmas: slope of mode 1 <"
+    assert (len(short), len(long)) == (40, 41)
+    assert cell.place_cell(short[:-1]) == '<td class="limit">106.79 s, pitch, stage 1, as flown i</td>'
+    assert cell.place_cell(short) == "<td>106.79 s, pitch, stage 1, as flown it</td>"
+    assert cell.place_cell(long) == "<td>53.8 s, yaw; sigmas: slope of mode 1 &lt;</td>"
