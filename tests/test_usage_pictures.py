@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,8 +15,10 @@ import matplotlib as mpl
 import numpy as np
 import petrelkit as petrel
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from picture_check import faults
+from replaykit import OLD_LOG
 
 import maxq
 from maxq.design.margins.distances import Zone
@@ -114,6 +117,24 @@ def test_pictures_of_the_second_vehicle(tmp_path: Path, monkeypatch: pytest.Monk
         for name, draw in every:
             kept(draw(), Path(name))
     assert len(drawn) > 20
+
+
+def test_flight_sheets_name_axes_and_panels_in_one_form(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`name, unit` on axes, and a capital letter first in titles, except for the symbol q."""
+    axes: list[Axes] = []
+
+    def kept(figure: Figure, _: Path) -> list[Path]:
+        axes.extend(figure.axes)
+        return []
+
+    monkeypatch.setattr(sheets, "save", kept)
+    sheets.write_sheets(open_flights([str(OLD_LOG)])[0], tmp_path)
+    assert len(axes) > 30
+    assert {place.get_xlabel() for place in axes} >= {"dynamic pressure, kPa", "Mach number", "wind, m/s"}
+    assert {place.get_title(loc="left") for place in axes} >= {"Profile", "From above", "Pitch", "Yaw", "Roll"}
+    assert not [place for place in axes if re.search(r"\(\S+\)$", place.get_xlabel() + place.get_ylabel())]
+    titles = [place.get_title(loc="left") for place in axes]
+    assert not [title for title in titles if title[:1].islower() and not title.startswith("q alpha")]
 
 
 @pytest.mark.crowded
