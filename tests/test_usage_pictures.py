@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,8 +15,10 @@ import matplotlib as mpl
 import numpy as np
 import petrelkit as petrel
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from picture_check import faults
+from replaykit import OLD_LOG
 
 import maxq
 from maxq.design.margins.distances import Zone
@@ -24,7 +27,7 @@ from maxq.sim.campaign.analysis import Band
 from maxq.tools.design import pictures
 from maxq.tools.design.open_loop import LoopPicture, Mark
 from maxq.tools.design.pictures_loop import contours, draw_loop
-from maxq.tools.pages.render import command, render, sentence
+from maxq.tools.pages.render import _environment, command, render, sentence
 from maxq.tools.plots import campaign, style
 from maxq.tools.plots.figures import Panel, Plot, as_csv, as_json, at, band, limit, line, points, thinned
 from maxq.tools.plots.palette import RED
@@ -114,6 +117,24 @@ def test_pictures_of_the_second_vehicle(tmp_path: Path, monkeypatch: pytest.Monk
         for name, draw in every:
             kept(draw(), Path(name))
     assert len(drawn) > 20
+
+
+def test_flight_sheets_name_axes_and_panels_in_one_form(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`name, unit` on axes, and a capital letter first in titles, except for the symbol q."""
+    axes: list[Axes] = []
+
+    def kept(figure: Figure, _: Path) -> list[Path]:
+        axes.extend(figure.axes)
+        return []
+
+    monkeypatch.setattr(sheets, "save", kept)
+    sheets.write_sheets(open_flights([str(OLD_LOG)])[0], tmp_path)
+    assert len(axes) > 30
+    assert {place.get_xlabel() for place in axes} >= {"dynamic pressure, kPa", "Mach number", "wind, m/s"}
+    assert {place.get_title(loc="left") for place in axes} >= {"Profile", "From above", "Pitch", "Yaw", "Roll"}
+    assert not [place for place in axes if re.search(r"\(\S+\)$", place.get_xlabel() + place.get_ylabel())]
+    titles = [place.get_title(loc="left") for place in axes]
+    assert not [title for title in titles if title[:1].islower() and not title.startswith("q alpha")]
 
 
 @pytest.mark.crowded
@@ -280,3 +301,13 @@ def test_a_thinned_curve_stays_within_a_share_of_its_range() -> None:
     assert len(a) < 2500
     assert np.abs(np.interp(x, a, b) - y).max() < np.ptp(y) / 200.0
     assert (a[0], a[-1]) == (x[0], x[-1])
+
+
+def test_only_a_short_place_of_a_requirement_stays_on_one_line() -> None:
+    """A place of 197 characters on one line made the table of requirements 2038 pixels wide."""
+    cell: Any = _environment().get_template("elements.html.j2").module
+    short, long = "at 106.79 s, pitch, stage 1, as flown it", "at 53.8 s, yaw; sigmas: slope of mode 1 <"
+    assert (len(short), len(long)) == (40, 41)
+    assert cell.place_cell(short[:-1]) == '<td class="limit">106.79 s, pitch, stage 1, as flown i</td>'
+    assert cell.place_cell(short) == "<td>106.79 s, pitch, stage 1, as flown it</td>"
+    assert cell.place_cell(long) == "<td>53.8 s, yaw; sigmas: slope of mode 1 &lt;</td>"

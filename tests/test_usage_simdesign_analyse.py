@@ -90,7 +90,9 @@ def test_pictures_and_record_go_into_a_folder(capsys: Printed) -> None:
     first = told["nodes"][0]
     assert first["gain_up"]["db"] > 6.0
     assert {lobe["label"] for lobe in first["lobes"]} == {"slosh 1", "slosh 2", "bending 1", "bending 2", "bending 3"}
-    assert "files in here/" in capsys.readouterr().out
+    assert "\n10 files in here/\n" in capsys.readouterr().out
+    assert run("analyse", "ksr3-default", *QUICK, "--out", "here", "--kind", "pade") == 0
+    assert "\n1 file in here/\n" in capsys.readouterr().out
 
 
 def test_limits_that_are_missed_are_said_so(capsys: Printed) -> None:

@@ -141,6 +141,8 @@ def test_accepted_design_leaves_verdict_and_pack(
     page = (out / "review.html").read_text()
     assert re.findall(r"<li[^>]*>not covered by operating points: ([^<]*)</li>", page) == gaps
     assert "The design file states, which is no finding of this review: " in page
+    shares = re.findall(r'"name": "(\d+) % of vehicles are worse",[^}]*"dash": "([^"]*)"', page)
+    assert set(shares) == {("50", ""), ("10", "2 2")}  # two looks: one key for all panels
     assert set(re.findall(r"https?:[^\"']*", page)) == {"http://www.w3.org/2000/svg"}  # nothing from outside
     assert {"flights.csv", "margins-pitch.csv", "nichols-pitch.csv"} <= {f.name for f in (out / "figures").iterdir()}
     assert verdict["command"] in page.replace("&#x27;", "'")

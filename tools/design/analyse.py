@@ -145,7 +145,7 @@ def execute(order: AnalysisOrder) -> int:
     tell(analysis_report(name, order, design, groups, judged_by, loss))
     if gaps:
         tell("", *uncovered_table(scenario.vehicle, gaps))
-    tell(f"\n{len(files)} files in {folder}/" if files else "")
+    tell(f"\n{len(files)} file{'s' * (len(files) > 1)} in {folder}/" if files else "")
     tell(verdict + (f"; page: {page}" if page is not None else ""))
     return Exit.OK if verdict.startswith("PASSED") else Exit.FAILED
 

@@ -55,16 +55,16 @@ _ENVELOPE_FROM = 6  # number of flights from which an envelope replaces single l
 _BINS, _POINTS, _THIN_POINTS = 1500, 4000, 1500  # points along a sheet: of an envelope, of a line, of a line among many
 _PATH_NS = 100_000_000
 _WINDOW_S, _HIGHEST_HZ, _FLOOR_DB = 2.0, 60.0, -80.0
-_SPECTRA = {f"gyro_{plane}_rate_degps": f"gyro, {plane} rate" for plane in PLANES}
-_SPECTRA |= {f"gimbal_{plane}_angle_deg": f"gimbal, {plane}" for plane in PLANES}
+_SPECTRA = {f"gyro_{plane}_rate_degps": f"Gyro, {plane} rate" for plane in PLANES}
+_SPECTRA |= {f"gimbal_{plane}_angle_deg": f"Gimbal, {plane}" for plane in PLANES}
 _IN_PATH = ("max_q", "burnout", "apogee", "impact", "fault", "control_lost", "diverged", "tumble")
 _EVENTS = (*_IN_PATH, "liftoff", "separation")
 _MOST_USED = 3.0  # share of the limit at which a bar is cut
 _SECTION_LOADS = (  # title, unit, and the columns of the limits with their signs
-    ("axial force", "kN", {"compression_N": -1.0, "tension_N": 1.0}),
-    ("shear", "kN", {"shear_N": 1.0}),
-    ("bending moment", "kN m", {"bending_moment_Nm": 1.0}),
-    ("equivalent axial load", "kN", {"equivalent_compression_N": -1.0, "equivalent_tension_N": 1.0}),
+    ("Axial force", "kN", {"compression_N": -1.0, "tension_N": 1.0}),
+    ("Shear", "kN", {"shear_N": 1.0}),
+    ("Bending moment", "kN m", {"bending_moment_Nm": 1.0}),
+    ("Equivalent axial load", "kN", {"equivalent_compression_N": -1.0, "equivalent_tension_N": 1.0}),
 )
 
 
@@ -346,8 +346,8 @@ def _path(shown: Flights) -> Figure:
                 k = min(int(np.searchsorted(path.times_ns, moment.time_ns)), len(along) - 1)
                 _point(profile, along[k], altitude[k], moment.label)
                 _point(above, east[k], north[k], moment.name.replace("_", " "))
-    profile.set(xlabel="horizontal distance from the site, km", ylabel="altitude, km", title="profile")
-    above.set(xlabel="east of the site, km", ylabel="north of the site, km", title="from above")
+    profile.set(xlabel="horizontal distance from the site, km", ylabel="altitude, km", title="Profile")
+    above.set(xlabel="east of the site, km", ylabel="north of the site, km", title="From above")
     above.set_aspect("equal", adjustable="datalim")
     above.plot([0], [0], "s", color=BLACK, markersize=4)
     if profile.get_legend_handles_labels()[0]:
@@ -374,7 +374,7 @@ def _altitude(shown: Flights) -> Figure:
             own = look | {"linestyle": look_of(k)["linestyle"]} if shown.many else look_of(k)
             label = f"to {axis}" if flight is shown.reference else None
             places[2].plot(log[f"wind_N_{axis}_mps"][rising], height, **(own | {"label": label}))
-    for place, label in zip(places, ("dynamic pressure (kPa)", "Mach number", "wind (m/s)"), strict=True):
+    for place, label in zip(places, ("dynamic pressure, kPa", "Mach number", "wind, m/s"), strict=True):
         place.set(xlabel=label, ylabel="altitude, km")
     if places[2].get_legend_handles_labels()[0]:
         places[2].legend(loc="best")
@@ -389,7 +389,7 @@ def _phase_plane(shown: Flights) -> Figure:
             k = slice(0, end, max(1, end // 6000))
             error, rate = flight.log[f"error_{axis}_deg"][k], flight.log[f"body_{axis}_rate_degps"][k]
             place.plot(error, rate, **(shown.look(flight) | {"linewidth": 0.7}))
-        place.set(xlabel=f"{axis} error, deg", ylabel=f"{axis} rate, deg/s", title=axis)
+        place.set(xlabel=f"{axis} error, deg", ylabel=f"{axis} rate, deg/s", title=axis.capitalize())
         place.locator_params(axis="x", nbins=4)  # small angles have wide labels
         place.axhline(0.0, color=GREY, linewidth=0.6)
         place.axvline(0.0, color=GREY, linewidth=0.6)

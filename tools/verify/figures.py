@@ -189,11 +189,13 @@ def _margins(studies: Sequence[MarginStudy], wanted: LinearMargins, plane: str, 
             stage = f", {m.stage}" if m.stage else ""
             if len(m.random):
                 shares = (1.0 - wanted.success, 0.1)
-                for share, row in zip(shares, percentiles(m.random, name, wanted.confidence, shares), strict=True):
-                    shown = np.where(np.isfinite(row), row, np.nan)
-                    here.append(
-                        line(times, shown, f"{100.0 * share:.3g} % of vehicles are worse", colour="purple", width=1.5)
+                rows = percentiles(m.random, name, wanted.confidence, shares)
+                for share, dash, row in zip(shares, ("", "2 2"), rows, strict=True):
+                    shown, text = (
+                        np.where(np.isfinite(row), row, np.nan),
+                        f"{100.0 * share:.3g} % of vehicles are worse",
                     )
+                    here.append(line(times, shown, text, colour="purple", dash=dash, width=1.5))
             series.append(line(times, values([m.nominal])[0], f"as designed{stage}", mark="o", **look(number), width=2))
         if not any(np.isfinite(np.asarray(s["y"], float)).any() for s in series):
             continue
