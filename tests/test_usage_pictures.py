@@ -1,4 +1,4 @@
-"""Pictures: equal when what they show is equal, and no notebook's settings are touched."""
+"""Pictures are equal for equal content, and a notebook's settings are unchanged."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_curves_differ_in_more_than_colour() -> None:
 
 
 def test_names_of_points_find_places_of_their_own() -> None:
-    """Twenty names of a dense curve, among them some in the same place."""
+    """Twenty names on a dense curve, some at the same point, have separate places."""
     with drawing():
         figure, (place,) = sheet(1, 1)
         x = np.linspace(0.0, 10.0, 400)
@@ -90,7 +90,7 @@ def test_names_of_points_find_places_of_their_own() -> None:
 
 @pytest.mark.long
 def test_pictures_of_the_second_vehicle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sheets of its flight to the second stage, its design's pictures at two nodes; conftest.py looks at each."""
+    """Sheets to the second stage and design pictures at two operating points are drawn; conftest.py checks each."""
     drawn = []
 
     def kept(figure: Figure, stem: Path) -> list[Path]:
@@ -120,7 +120,7 @@ def test_pictures_of_the_second_vehicle(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_flight_sheets_name_axes_and_panels_in_one_form(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`name, unit` on axes, and a capital letter first in titles, except for the symbol q."""
+    """Axes are `name, unit`, and titles begin with a capital letter except for the symbol q."""
     axes: list[Axes] = []
 
     def kept(figure: Figure, _: Path) -> list[Path]:
@@ -149,7 +149,7 @@ def test_a_text_over_another_and_a_clipped_one_are_found() -> None:
 
 @pytest.mark.parametrize("name", ["-6 dB", "3 dB", "6 dB"])
 def test_contours_are_those_of_the_closed_loop(name: str) -> None:
-    """On an M contour |L / (1 + L)| is that of its name; at -180 deg L = -M / (M +- 1)."""
+    """On an M contour |L / (1 + L)| equals its label; at -180 deg L = -M / (M +- 1)."""
     (phase, level), *_ = [(p, d) for text, p, d in contours() if text == name]
     loop = 10.0 ** (level / 20.0) * np.exp(1j * np.radians(phase))
     m_db = float(name.removesuffix(" dB"))
@@ -162,7 +162,7 @@ def test_contours_are_those_of_the_closed_loop(name: str) -> None:
 
 
 def test_a_loop_is_drawn_with_its_margins_near_minus_one() -> None:
-    """Half of the loop on the unit circle: a gain margin of 6.02 dB at -0.5, and 60 deg at the unit circle."""
+    """Half of a loop through the unit circle has a gain margin of 6.02 dB at -0.5 and 60 deg at the unit circle."""
     hz = np.geomspace(0.1, 10.0, 201)
     curve = 0.5 * np.exp(-1j * np.pi * hz)
     crossing, nearest = np.exp(1j * np.radians(-120.0)), -0.6 - 0.3j
@@ -304,7 +304,10 @@ def test_a_thinned_curve_stays_within_a_share_of_its_range() -> None:
 
 
 def test_only_a_short_place_of_a_requirement_stays_on_one_line() -> None:
-    """A place of 197 characters on one line made the table of requirements 2038 pixels wide."""
+    """A long place of a requirement is broken into lines.
+
+    On one line, a place of 197 characters makes the table of requirements 2038 pixels wide.
+    """
     cell: Any = _environment().get_template("elements.html.j2").module
     short, long = "at 106.79 s, pitch, stage 1, as flown it", "at 53.8 s, yaw; sigmas: slope of mode 1 <"
     assert (len(short), len(long)) == (40, 41)

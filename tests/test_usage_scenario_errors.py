@@ -62,7 +62,7 @@ def test_a_file_that_is_not_there(here: Path) -> None:
 
 
 def test_a_name_that_is_neither_a_file_nor_ours(here: Path) -> None:
-    """Not with a list of all names, which are many."""
+    """A name that is neither a file nor built in is rejected without the long list of all names."""
     assert said_of("zzz") == (
         "zzz: neither a file nor a built-in scenario; allowed: a scenario file (.toml), "
         "or a built-in scenario (simrun --list names them)"
@@ -71,7 +71,7 @@ def test_a_name_that_is_neither_a_file_nor_ours(here: Path) -> None:
 
 
 def test_a_file_that_is_nearly_there(here: Path) -> None:
-    """Check that a suggestion is next to the named place, or is a built-in file of that name."""
+    """The suggestion is next to the named place, or a built-in file of that name."""
     for key, asked, meant in (
         ("design", "designs/trail.toml", "designs/trial.toml"),
         ("vehicle", "vehicles/rockte", "vehicles/rocket"),
