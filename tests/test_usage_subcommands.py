@@ -103,7 +103,7 @@ def test_an_option_of_another_subcommand_is_refused_in_one_line(arguments: str, 
         COMMANDS[name].main(words)
     out, err = capsys.readouterr()
     assert (end.value.code, out, err.count("\n")) == (2, "", 1)
-    assert err.startswith(f"{says}; see {name} ")
+    assert err.startswith(f"{says}{' See' if says.endswith('?') else '; see'} {name} ")
 
 
 def calls_in(text: str) -> list[str]:
