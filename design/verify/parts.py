@@ -86,9 +86,9 @@ class Parts:
         """Return the times of a part's operating points, from the suite or suited to the flight."""
         if part.times_s is not None:
             return part.times_s
-        edges = part.edges if isinstance(part, LinearMargins) else MEASURED_EDGES
+        of, edges = ("margins", part.edges) if isinstance(part, LinearMargins) else ("certificate", MEASURED_EDGES)
         times = partial(node_times, self.along, part.nodes_per_stage, edges=edges)
-        return self.memory.recall("times", (self.along.as_flown, part.nodes_per_stage, edges), times)
+        return self.memory.recall("times", (self.along.as_flown, part.nodes_per_stage, edges), times, f"of {of}")
 
     def nodes(self, plane: Plane) -> list[Node]:
         """Return the operating points of the linear margins, which depend on the whole flight."""
