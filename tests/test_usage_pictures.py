@@ -17,6 +17,7 @@ import petrelkit as petrel
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Annotation, Text
 from picture_check import faults
 from replaykit import OLD_LOG
 
@@ -31,7 +32,7 @@ from maxq.tools.pages.render import _environment, command, render, sentence
 from maxq.tools.plots import campaign, style
 from maxq.tools.plots.figures import Panel, Plot, as_csv, as_json, at, band, limit, line, points, thinned
 from maxq.tools.plots.palette import RED
-from maxq.tools.plots.style import STYLE, curve, drawing, label, name_point, save, sheet
+from maxq.tools.plots.style import STYLE, curve, drawing, label, name_point, save, settle, sheet
 from maxq.tools.replay import sheets
 from maxq.tools.replay.flight import open_flights
 
@@ -86,6 +87,35 @@ def test_names_of_points_find_places_of_their_own() -> None:
             name_point(place, 5.0, 0.0, f"same {k}", must=False)
         label(place, "time, s", "value", "a title")
     assert not faults(figure)
+
+
+def test_leaders_of_names_do_not_cross() -> None:
+    """Names of neighbouring points far from free space have leaders that cross neither each other nor a spike."""
+    with drawing():
+        figure, (place,) = sheet(1, 1)
+        place.set(xlim=(0.0, 10.0), ylim=(0.0, 10.0))
+        for k in range(12):  # a hatched area without room for a name
+            place.plot([6.4 + 0.3 * k] * 2, [0.0, 6.0], color="C0")
+        for k, x in enumerate((8.0, 8.3, 8.6, 8.9)):
+            name_point(place, x, 3.0 + 0.4 * (k % 2), f"a long name {k}")
+        label(place, "time, s", "value", "a title")
+        settle(figure)
+        leaders = [
+            np.array([place.transData.transform(t.xy), Text.get_window_extent(t).get_points().mean(axis=0)])
+            for t in place.texts
+            if isinstance(t, Annotation) and t.arrow_patch is not None and t.arrow_patch.get_visible()
+        ]
+    assert len(leaders) == 4
+    assert not any(_crosses(a, b) for k, a in enumerate(leaders) for b in leaders[:k])
+
+
+def _crosses(a: np.ndarray, b: np.ndarray) -> bool:
+    """Return True if two segments (2, 2) cross, by the parameters of their intersection."""
+    try:
+        s, t = np.linalg.solve(np.stack([a[1] - a[0], b[0] - b[1]], axis=1), b[0] - a[0])
+    except np.linalg.LinAlgError:
+        return False
+    return bool(0.0 < s < 1.0 and 0.0 < t < 1.0)
 
 
 @pytest.mark.long
