@@ -483,7 +483,8 @@ def test_one_solve_finds_the_best_that_is_known(structure: str, known_db: float)
     assert c.leaps_back >= c.leaps // 2 > 0
     near = sum(db < s.objective_db + 0.05 for db in c.ends_db)
     assert c.statement() == (
-        f"{near} of {c.starts} starts and {c.leaps_back} of {c.leaps} leaps from the best ended within 0.05 dB of it"
+        f"{near} of {c.starts} starts and {c.leaps_back} of {c.leaps} perturbations of the best"
+        " ended within 0.05 dB of it"
     )
 
 
