@@ -99,6 +99,7 @@ class Parts:
     def _nodes(self, plane: Plane) -> list[Node]:
         wanted, design = self.suite.margins, self.design
         assert wanted is not None
+        self.watch("linearising at the operating points", len(self.known), len(wanted.planes))
         times_s = self.times_s(wanted)
         depends = (self.along.as_flown, times_s, plane)
 
@@ -122,7 +123,6 @@ class Parts:
         wanted, design = self.suite.margins, self.design
         if wanted is None or design is None:
             return []
-        self.watch("linearising at the operating points", 0, 0)
         out, parts = [], list(self.by_stage("margins", wanted))
         flights = self.trajectories if wanted.cases else []
         for (nodes, stage, watch), mine in zip(parts, flights or itertools.repeat([]), strict=False):
