@@ -71,7 +71,8 @@ class JudgedRequirement:
         said += f"; waived by {self.waived}" if self.waived else ""
         if self.judgement != UNDECIDED:
             return said
-        return f"{said}; not settled" + (f": {self.more_runs} more runs" if self.more_runs else "")
+        more = self.more_runs
+        return f"{said}; " + (f"{more} more run{'s' * (more != 1)} needed" if more else "undecided")
 
 
 def overall(requirements: Iterable[JudgedRequirement], missing_evidence: Iterable[str] = ()) -> SuiteVerdict:
