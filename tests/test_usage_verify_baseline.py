@@ -306,7 +306,7 @@ def test_terminal_page_and_verdict_show_the_differences_and_hash_everything(
     assert main(["ksr3-robust", "--suite", "mine.toml", "--out", "out"]) == 0
     said = capsys.readouterr().out
     assert re.search(r"^baseline: \d+ differences from the shipped suite standard$", said, re.MULTILINE)
-    assert re.search(r"^  removed +46 flights: nominal, limit wind, ", said, re.MULTILINE)
+    assert re.search(r"^  removed +46 flights: nominal; limit wind; ", said, re.MULTILINE)
     page, verdict = Path("out/review.html").read_text(), json.loads(Path("out/verdict.json").read_text())
     assert "differences from the shipped suite standard" in page
     assert {"kind": "removed", "what": "certificate", "baseline": "", "here": ""} in verdict["baseline"]["differences"]
