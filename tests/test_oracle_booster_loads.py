@@ -356,7 +356,8 @@ def expected(w: Whole, now: Any, y: Array, made: Any, shift: tuple[float, float]
 
 @pytest.mark.parametrize("bent", [False, True])
 def test_loads_are_the_sum_of_forces_on_every_part(bent: bool) -> None:
-    """All rates agree without modes; with modes only a roll rate, as terms of displacement with q and r are omitted.
+    """Without modes, loads agree at any rates; with modes, at a roll rate, as displacement terms with q and r are
+    omitted.
 
     A booster's inertia in the modes is the mean of both planes, so that its rods are on its axis with modes. Both
     planes have the same shapes, because the quasi-velocities in roll neglect their difference.

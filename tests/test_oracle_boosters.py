@@ -304,7 +304,7 @@ def places(made: Rig, y: Array, stage: int, rows: dict[str, Any]) -> dict[str, t
 
 
 def test_parts_that_remain_keep_their_motion() -> None:
-    """Axis and bob keep place and velocity although CG, axes and modes change; so does the engine.
+    """Axis, bob and engine keep place and velocity, although CG, axes and modes change.
 
     Each remaining mass keeps its motion, and the separated part has the rest of the momentum.
     """

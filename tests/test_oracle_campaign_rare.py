@@ -122,7 +122,7 @@ def test_a_value_that_stops_short_of_its_limit_is_undecided(p: float) -> None:
 def test_flights_miss_as_rarely_as_their_thrust_is_drawn(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Thrust over weight depends on the thrust factor alone; flights miss its limit at 2.5 sigma that rarely."""
+    """The bounds enclose the probability of a thrust factor beyond 2.5 sigma, on which the metric alone depends."""
     monkeypatch.setattr(rare, "FEWEST", 50)
     metric, p = "max_thrust_over_weight_g", float(stats.norm.sf(2.5))
     before = campaignkit.small(tmp_path, runs=8)

@@ -268,7 +268,7 @@ def test_the_report_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_a_campaign_stops_when_its_verdicts_are_settled(tmp_path: Path) -> None:
-    """A requirement that every run misses is settled after a few runs; so is one that all meet at a lower level."""
+    """A requirement that every run misses is settled after a few runs, as is one that all meet at a lower level."""
     rest = FAILING.replace("1e-3", "-1.0")
     text = campaignkit.campaign_text(runs=400, rest=rest, inputs="", campaign="success = 0.9")
     (tmp_path / "early.toml").write_text(text.replace('unset = ["requirement"]\n', ""))

@@ -185,7 +185,7 @@ def test_a_flight_that_ends_a_sample_early_has_no_response() -> None:
 
 
 def test_trials_follow_the_secant_and_stay_between_what_decayed_and_what_grew() -> None:
-    """From growth -1 at 2 dB and +1 at 4 dB, the trial is the root of the line, and a trial stays in the bracket."""
+    """With growth -1 at 2 dB and +1 at 4 dB, the next trial is the root of the secant, inside the bracket."""
     following = measured_margins.following_trial
     assert following([(2.0, -1.0)], 0.5, 10.0, 0.01) == 4.0  # by the slope that is given
     assert following([(2.0, -1.0)], 0.5, 1.5, 0.01) == 3.5  # the largest step

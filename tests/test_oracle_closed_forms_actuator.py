@@ -110,7 +110,7 @@ def test_step_response_of_each_model(model: str, limits_act_on: str) -> None:
 
 @pytest.mark.parametrize("model", ["fourth-order", "sixth-order"])
 def test_where_the_limits_act(model: str) -> None:
-    """Limited to 30 deg/s at the servo, sections behind it overshoot to 36 deg/s in order six; at the engine none."""
+    """With 30 deg/s at the servo, the following sections overshoot to 36 deg/s in order six; at the engine, none do."""
     rates = {}
     for where in ("servo", "engine"):
         made = moving(

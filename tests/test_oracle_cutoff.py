@@ -141,7 +141,7 @@ def test_thrust_decays_after_a_cutoff_that_allows_for_it(factor: float) -> None:
 
 @pytest.mark.parametrize("decay_s", [0.0, 0.2])
 def test_thrust_decays_beyond_the_burnout_and_does_not_return_after_a_separation(decay_s: float) -> None:
-    """From 100 m/s to 104 m/s in 0.2 s: with the decay, the cutoff is at 0.1 s; the propellant would end at 0.22 s.
+    """From 100 to 104 m/s in 0.2 s, the decay moves the cutoff to 0.1 s; the propellant would last until 0.22 s.
 
     At 0.25 s a stage begins whose thrust would decay within 2 s.
     """

@@ -132,7 +132,7 @@ def test_the_loop_of_a_vehicle_is_that_of_its_run(plane: Any) -> None:
 
 
 def test_draws_are_the_campaigns_own_numbers() -> None:
-    """2,000 vehicles agree, and each of them alone; the delay is uniform and the damping triangular, as in flight."""
+    """All of 2,000 vehicles agree, also alone; the delay is uniform and the damping triangular, as in flight."""
     campaign, node = loaded("campaigns/ksr3"), node_of_campaign("campaigns/ksr3", AT_A_ROW_S)
     drawn, every = campaign.plan.draw(0, 2000).draws, deviations_of(campaign, node).drawn(range(2000))
     delay_s = np.array([by.delay_s for by in every]) + node.instruments.delay_s

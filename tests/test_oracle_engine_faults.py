@@ -156,7 +156,7 @@ def test_all_engines_off_is_burn_out_and_leaves_the_propellant() -> None:
 
 
 def test_a_tail_off_ends_where_its_table_does() -> None:
-    """45.0 + 0.3 - 45.0 is less than 0.3 in floating point, and the share left at that instant is still zero."""
+    """Burnout is at 45.3 s to the nanosecond, although 45.0 + 0.3 - 45.0 is less than 0.3 in floating point."""
     tail = "tail_off=[{time_s=0.0,share=1.0},{time_s=0.3,share=0.0}]"
     made = packed(f"fault=[{{kind='engine-off',at_s=45.0,{tail}}}]")
     assert int(made.parameters[0].timeline.burnout_ns) == 45_300_000_000

@@ -144,7 +144,7 @@ def test_table_meets_the_wind_of_its_station() -> None:
 
 
 def test_wind_of_a_station_over_a_round_earth() -> None:
-    """The air at a station is that of its height anywhere on Earth; 14 m of curvature are 2e-5 m of height."""
+    """The air at a station is that of its height, to the 2e-5 m by which the Earth curves over 14 m."""
     place = {"geodetic": {"latitude_deg": 33.0, "longitude_deg": -126.0, "altitude_m": ALTITUDE}}
     round_earth = {"earth": {"shape": "wgs84", "rotating": True}, "atmosphere": {**AIR, "model": "constant"}}
     aero = {

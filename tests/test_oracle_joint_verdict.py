@@ -80,7 +80,7 @@ def test_the_last_line_names_all_together_where_no_requirement_is_missed_alone()
 
 
 def test_a_campaign_is_settled_only_with_the_joint_verdict() -> None:
-    """Ten misses of each of two limits in 600 runs are few enough at 95 %; the joint twenty are not."""
+    """With ten misses of each of two limits in 600 runs, both are met at 95 %, but not both together (20 misses)."""
     loaded = campaign(TEN[:2], 0.0).with_campaign(runs=600, success=0.95)
     for both, settled_now in ((False, False), (True, True)):  # in other runs, in the same
         interim = Interim(loaded)

@@ -100,7 +100,7 @@ def test_crossings_are_those_of_exact_arithmetic(seed):
 
 @pytest.mark.parametrize("seed", [13, 369, 417, 468])
 def test_the_least_distance_at_frequency_zero_is_that_of_60_digits(seed):
-    """The least distance equals that of 60 digits; a grid from 1e-3 Hz is up to 0.4 above it in 11 of 64 loops."""
+    """The least distance equals that in 60 digits; a grid from 1e-3 Hz is up to 0.4 too large for 11 of 64 loops."""
     loop = random_loop(seed)
     m, s = margins(loop), loop.state_space()
     assert m.disks.sensitivity.frequency_hz == 0.0

@@ -98,7 +98,7 @@ def test_own_part_is_what_the_loop_loses_without_the_mode() -> None:
 
 
 def test_peak_of_a_mode_at_the_sample_rate_is_its_own() -> None:
-    """There |L| is the rigid body's, up to 8.6 dB; below 50 Hz the mode changes L by less than -41 dB."""
+    """At the folded frequency |L| is the rigid body's, up to 8.6 dB; below 50 Hz the mode adds less than -41 dB."""
     design, hz = maxq.load_design("designs/ksr3-robust"), np.geomspace(0.05, 49.9, 4000)
     for node in folding(40.0, 42.0, 43.0, 44.0):
         loop = Loop(SampledFixedPath(node), law_at(design, node))

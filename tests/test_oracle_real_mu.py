@@ -100,7 +100,9 @@ def test_determinant_of_the_deviations_is_that_of_the_sampled_loop() -> None:
 
 @pytest.mark.long
 def test_no_vehicle_of_the_box_is_unstable_and_one_farther_out_is() -> None:
-    """400 vehicles at corners and inside the box of mu are stable; a box a quarter larger contains an unstable one."""
+    """All of 400 vehicles at corners and inside the box of mu are stable; a box 1.25 times as large has an unstable
+    one.
+    """
     node, campaign = design_nodes.node_at(45.0), campaign_of(Spread(), design_nodes.nominal())
     deviations, design = deviations_of(campaign, node), design_nodes.design()
     found = stable_within(node, design, campaign)

@@ -220,7 +220,7 @@ def settled_deg(settling_s: float) -> float:
 
 @pytest.mark.slow
 def test_settling_thrust_brings_the_liquid_aft() -> None:
-    """0.2 m/s2 on a pendulum of 0.4 m give a period of 9 s; over 80 s it decays by exp(-0.1 0.71 80) = 0.003."""
+    """Under 0.2 m/s2, a pendulum of 0.4 m has a period of 9 s and decays by exp(-0.1 0.71 80) = 0.003 in 80 s."""
     assert settled_deg(80.0) < 1.0
     assert settled_deg(0.0) > 5.0
 
@@ -307,7 +307,7 @@ def test_burns_that_cannot_be(changes: Tree, said: str) -> None:
 
 
 def test_settling_thrust_counts_as_an_axial_load() -> None:
-    """20 kN before the second burn, on the mass left by the first, exceed the engine's 16 kN after it."""
+    """Settling by 20 kN, on the mass left by the first burn, exceeds the 16 kN of the second burn as an axial load."""
     push = {"coast_s": 5.0, "settling_s": 3.0, "settling_thrust_N": 20000.0, "cutoff": {"inertial_speed_mps": 9000.0}}
     ends = {"cutoff": {"inertial_speed_mps": 7760.0}, "restart": [push]}
     tree = merged({**TREE, "guidance": ends}, {"run": {"duration_s": 40.0}})

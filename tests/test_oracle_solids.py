@@ -192,7 +192,9 @@ def integral(of: Any) -> float:
     ],
 )
 def test_a_faster_burn_keeps_the_total_impulse(engine: Tree, burn_rate: float, strength: float) -> None:
-    """dv is the integral of F / m, without the burn rate; thrust and flow are proportional to it, the burn shorter."""
+    """The integral of F / m is independent of the burn rate: thrust and flow grow in proportion, and the burn is
+    shorter.
+    """
     flight = fly(load(motor_alone(**engine)))
     assert flight["v_I_x_mps"][-1] == pytest.approx(strength * integral(lambda t: THRUST(t) / MASS(t)), rel=1e-9)
     assert flight["mass_kg"][-1] == pytest.approx(400.0, rel=1e-12)

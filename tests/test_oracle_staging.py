@@ -29,7 +29,7 @@ def at(loaded: LoadedScenario, time_s: float) -> np.ndarray:
 
 
 def test_springs_and_impulse_share_energy_and_momentum() -> None:
-    """m_1 v_1 = m_2 v_2 and m_1 v_1^2 / 2 + m_2 v_2^2 / 2 = E, forward along the body; tip-off rates are added."""
+    """Momentum m_1 v_1 = m_2 v_2 and energy m_1 v_1^2 / 2 + m_2 v_2^2 / 2 = E hold, and tip-off rates are added."""
     energy, impulse, tip = 5000.0, 300.0, (0.5, -1.0, 2.0)
     key = "vehicle.stage.0.separation"
     plain = load_scenario(TWO)

@@ -34,7 +34,7 @@ def flown(*signals: object) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.slow
 def test_the_loop_along_the_ascent_gives_the_flown_response() -> None:
-    """15 s agree, while the loop frozen at their middle and a loop advanced for too short a time differ widely."""
+    """Over 15 s the responses agree; the loop frozen at their middle, or advanced for too short a time, is far off."""
     design = LOADED.design
     assert design is not None
     (quiet, quiet_command), (law, command) = flown(), flown(SINES)

@@ -106,7 +106,7 @@ def test_guidance_to_an_orbit_and_an_accelerometer_are_written(layout: Layout, t
 
 
 def test_uniform_beam_has_the_frequencies_and_masses_of_the_closed_form() -> None:
-    """Free-free, beta L = 4.73004, 7.85320, 10.99561; with 1 at the end the modal mass is a quarter of the beam's."""
+    """Free-free modes have beta L = 4.73004, 7.85320, 10.99561 and, with 1 at the end, a quarter of the beam's mass."""
     length, mass, stiffness = 12.0, 480.0, 3e7
     beam = Beam(np.linspace(0.0, length, ELEMENTS + 1), np.full(ELEMENTS, stiffness))
     modes = beam.modes([Rod(mass, 0.0, length, 0.0, 0.0)], 3)
@@ -134,7 +134,7 @@ def test_engine_behind_the_beam_is_a_rigid_mass_with_a_lever() -> None:
 
 
 def test_a_beam_held_at_its_tail_is_a_cantilever() -> None:
-    """beta L = 1.87510, 4.69409; with 1 at the free end the generalised mass is also a quarter of the beam's."""
+    """Its modes have beta L = 1.87510, 4.69409 and, with 1 at the free end, a quarter of the beam's mass."""
     length, mass, stiffness = 12.0, 480.0, 3e7
     beam = Beam(np.linspace(0.0, length, ELEMENTS + 1), np.full(ELEMENTS, stiffness))
     modes = beam.modes([Rod(mass, 0.0, length, 0.0, 0.0)], 2, clamped=True)
@@ -200,7 +200,7 @@ def student_with_side_tanks(folder: Path, places: tuple[tuple[float, float], ...
 
 
 def test_tanks_off_the_axis_add_their_mass_times_squared_distances(tmp_path: Path) -> None:
-    """16 kg at 30 and 70 mm add m (y^2 + z^2) to roll, m z^2 to pitch, m y^2 to yaw; half after half the flow."""
+    """Tanks of 16 kg at 30, 70 mm add m (y^2 + z^2) to roll, m z^2 to pitch and m y^2 to yaw; half when half full."""
     beside, on_axis = (
         stacks(student_with_side_tanks(tmp_path, ((y, -z), (-y, z))))[0] for y, z in ((0.03, 0.07), (0.0, 0.0))
     )
@@ -305,7 +305,7 @@ def test_without_an_orbit_the_path_angle_is_met(layout: Layout) -> None:
 
 
 def test_orbit_has_the_heights_of_the_textbook() -> None:
-    """A Hohmann transfer ellipse follows from its vis-viva speed, and so does a circle."""
+    """A Hohmann transfer ellipse and a circle follow from their vis-viva speeds."""
     low, high = WGS84_RADIUS_m + 250e3, WGS84_RADIUS_m + 900e3
     at_perigee = math.sqrt(WGS84_MU_m3ps2 * (2.0 / low - 2.0 / (low + high)))
     assert Orbit.of(low, at_perigee, 0.0) == pytest.approx((250e3, 900e3), abs=1.0)

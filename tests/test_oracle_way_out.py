@@ -100,7 +100,7 @@ def margin() -> tuple:
 
 @pytest.mark.long
 def test_wider_bounds_gain_more_than_a_higher_order(margin: tuple) -> None:
-    """On KSR-III at 45 s, the limit and those of the rigid body are missed by 0.71 dB, and by 0.6 to 0.7 dB with F5.
+    """For KSR-III at 45 s, the worst limits are missed by 0.71 dB, and with F5 still by 0.6 to 0.7 dB.
 
     The trial of F5 ends by its number of evaluations. The minimum reached by then, 0.615 or 0.680 dB, depends on
     rounding.

@@ -148,7 +148,7 @@ def from_layout(tmp_path_factory: pytest.TempPathFactory) -> tuple:
 
 @pytest.mark.slow
 def test_the_layout_makes_the_vehicle_that_is_flown(from_layout: tuple) -> None:
-    """The layout agrees within these shares with tables of an earlier programme, with its own beam and ascent."""
+    """The layout agrees within stated tolerances with tables of an earlier programme, with its own beam and ascent."""
     allowed = {
         "body: total": 1e-3, "vehicle: ": 3e-3, "body: core mass": 3e-3, "body: core transverse inertia, ": 6e-3,
         r"mode \d: frequency": 4e-3, r"mode \d: slope": 3e-2, r"mode \d: shape at surface": 2e-2,

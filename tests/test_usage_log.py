@@ -190,7 +190,7 @@ def test_a_full_disk_is_a_log_error() -> None:
 
 
 def test_a_disk_that_fills_up_keeps_the_chunks_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first write of the third chunk writes a part of it, and the next one nothing; the chunks before are kept."""
+    """When the third chunk is written only in part, and the next one not at all, the chunks before it stay readable."""
     path = tmp_path / "a.mcap"
     log = LogWriter(path, TABLE, HEAD)
     rows = {second: FAST[0] // SECOND == second for second in range(3)}

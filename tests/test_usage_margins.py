@@ -47,7 +47,7 @@ def test_no_crossing_at_all():
 
 
 def test_an_unstable_loop_shows_no_margin_but_how_far_it_is():
-    """(s + 0.8) / 2 / (s^2 - 1) has the closed polynomial s^2 + s/2 - 0.6."""
+    """The loop (s + 0.8) / 2 / (s^2 - 1) has the closed-loop polynomial s^2 + s/2 - 0.6 and no margins."""
     m = margins(TransferLoop([0.5, 0.4], [1.0, 0.0, -1.0]))
     growth = -0.25 + np.sqrt(0.0625 + 0.6)
     assert (m.stable, m.unstable_poles, m.encircled_poles) == (False, 1, 1)
@@ -101,7 +101,9 @@ def test_hidden_integrators_are_drift():
 
 @pytest.mark.parametrize("level", [0.5, 0.99, 1.5, -0.5, -1.5])
 def test_a_loop_that_stays_level(level):
-    """For (level s + 1) / (s + 1), |L| ends at |level|: from 1 on no delay is tolerated, from -1 on no closed loop."""
+    """For (level s + 1) / (s + 1), |L| tends to |level|: at 1 or above no delay is tolerated, at -1 or below L is
+    unstable.
+    """
     m = margins(TransferLoop([level, 1.0], [1.0, 1.0]))
     assert m.stable == (level > -1.0)
     if level == -0.5:

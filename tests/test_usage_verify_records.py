@@ -265,7 +265,7 @@ def test_results_that_are_not_those_of_the_suite_are_found(here: Path, capsys: p
 
 
 def test_a_pack_of_an_earlier_version_fails_the_check(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Such a pack has no results and no row of all requirements; its own version can check it."""
+    """A pack without results and without a row of all requirements fails; its own version can check it."""
 
     def earlier(verdict: dict[str, Any]) -> None:
         del verdict["files"]["results.json.gz"]
