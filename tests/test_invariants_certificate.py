@@ -204,7 +204,7 @@ def test_margin_at_half_the_sample_rate(tmp_path: Path) -> None:
 
 
 def test_delay_that_does_not_fit_the_computer_is_named(loaded: LoadedScenario) -> None:
-    """At 5 s ksr3-free tolerates 150 ms, 15 samples; the filter holds only 12, and the message names this limit."""
+    """At 5 s ksr3-free tolerates a delay of 15 samples; the filter holds 12, so the margin is reported as longer."""
     patient = load_scenario("nominal", ['design="designs/ksr3-free.toml"'])
     held = hold(patient, maxq.nodes(patient, [5.0])[0])
     assert patient.design is not None

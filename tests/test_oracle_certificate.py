@@ -145,7 +145,7 @@ def test_growth_of_a_slow_oscillation_beside_a_drift() -> None:
 
 
 def test_growth_changes_with_the_gain_as_a_line_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A critical pole at 2 rad/s moves by 0.7/s per dB of gain."""
+    """The slope is that of the pole next to the critical frequency, 2 rad/s, which moves by 0.7/s per dB of gain."""
     bound: Any = SimpleNamespace(value=6.0, frequency_hz=1.0 / np.pi)
 
     def altered(loop: Loop, what: str, amount: float) -> Any:
@@ -156,7 +156,7 @@ def test_growth_changes_with_the_gain_as_a_line_does(monkeypatch: pytest.MonkeyP
 
 
 def test_neither_mean_nor_nyquist_counts_as_noise() -> None:
-    """The bins of the mean and of Nyquist are real and contain the offset and half a tone; others give the error."""
+    """The bins of the mean and of Nyquist, with the offset and half a tone, are excluded from the error."""
     top = LineBand(np.array([45.0, 49.5]), 4.0, 4.0, 1)
     lines = np.round(top.lines_hz * top.period_s).astype(int)
     rng = np.random.default_rng(4)

@@ -288,7 +288,7 @@ def test_deviations_that_go_together_and_those_that_are_not_followed(own: Path) 
 
 
 def test_a_suite_takes_the_draws_of_its_campaign(own: Path, tmp_path: Path) -> None:
-    """`campaign` of [margins.three_sigma] is relative to the suite, and excludes other numbers."""
+    """The file `campaign` of [margins.three_sigma] is looked for next to the suite, and excludes other numbers."""
     suite = tmp_path / "suite.toml"
     suite.write_text('schema = 2\n[margins.three_sigma]\ncampaign = "own"\n')
     wanted = read_suite(suite).suite.margins

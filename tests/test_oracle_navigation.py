@@ -57,7 +57,7 @@ def test_a_drifting_gyro_turns_what_is_navigated() -> None:
 
 
 def test_navigation_feels_gravitation_where_it_believes_to_be() -> None:
-    """Upwards on a round Earth, believed 900 m too high and 30 m/s too fast, each motion follows one equation."""
+    """Gravitation is that of the navigated position, 900 m too high and 30 m/s too fast, on a vertical ascent."""
     errors = {"position_error_m": [0.0, 0.0, -900.0], "velocity_error_mps": [0.0, 0.0, -30.0]}
     wanted_m = 200e3
     tree = merged(TREE, {"run": {"duration_s": 150.0, "stop_at": ["burnout"]}, "navigation": errors})

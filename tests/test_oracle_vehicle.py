@@ -462,7 +462,7 @@ def test_the_vehicle_flies_the_point_mass_s_path_to_orbit(tmp_path: Path, built)
 
 
 def test_the_pitch_over_of_an_ascent_is_rounded_and_the_tangents_follow():
-    """The pitch-over is rounded and the tangents follow.
+    """After the pitch-over is rounded, the tangents are solved for again, so that the end stays level.
 
     In this test the end is level where the tangents are twice the pitch-over and minus its square.
     """

@@ -40,7 +40,7 @@ def test_spans_end_at_the_loss_that_the_flight_reports() -> None:
 
 @pytest.mark.parametrize("name", ["control_lost", "tumble", "diverged"])
 def test_each_loss_ends_all_spans(name: str) -> None:
-    """The first stage is lost while it burns, or the second before its ignition."""
+    """A loss during a burn ends its span; a loss before an ignition leaves only the spans of earlier stages."""
     flown = [
         Event("ignition", 0, 1),
         Event("liftoff", 0),

@@ -148,7 +148,7 @@ def test_summary_fits_the_terminal_and_does_without_blocks() -> None:
 @pytest.mark.parametrize("most", [7, 15])
 @pytest.mark.parametrize("span", [(-0.09, 0.09), (-20.5, 3.2), (0.0, 13.0), (4.1, 4.9), (-1e-7, 2e-6), (80.0, 1400.0)])
 def test_every_axis_has_two_numbers(span: tuple[float, float], most: int) -> None:
-    """Ticks are multiples of the smallest power of ten with at most `most`, with whole numbers at the edges."""
+    """At least two multiples of the smallest power of ten of which `most` fit are on an axis, away from its edges."""
     low, high = span
     bottom, top = with_scale(low, high, most)
     assert bottom <= low < high <= top
@@ -224,7 +224,7 @@ def test_plots_are_parted_by_stages_and_legends_stand_aside_of_curves() -> None:
 def test_a_legend_too_large_for_a_plot_names_the_flights_whose_curves_differ_in_width(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Aerodynamic panels of three flights with nine curves each have a legend that names the flights."""
+    """A legend names the curves; with several flights it names the flights, or is omitted if it does not fit."""
     tab = next(tab for tab in tabs_of(open_flight(OLD_LOG).log.table, None) if tab.name == "Loads")
     plots = {plot.key.removeprefix("loads/"): plot for plot in tab.plots}
     legends = [{key: legend_of(tab, plot, n) for key, plot in plots.items()} for n in (1, 3, 6, 7)]
