@@ -223,7 +223,7 @@ def _crossings(start: NDArray[Any], end: NDArray[Any], others: NDArray[Any]) -> 
 
     def side(a: NDArray[Any], b: NDArray[Any], c: NDArray[Any]) -> NDArray[Any]:
         u, v = b - a, c - a
-        return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+        return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
 
     first, last = others[:, 0], others[:, 1]
     parted = side(start, end, first) * side(start, end, last) < 0.0
