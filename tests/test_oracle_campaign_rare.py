@@ -70,10 +70,10 @@ def test_bounds_are_students_at_half_the_stated_risk() -> None:
 @pytest.mark.parametrize(
     ("name", "undecided"),
     [
-        ("noise with 0.3 of the standard deviation, 1e-04", False),
-        ("noise with 0.5 of the standard deviation, 1e-04", False),
-        ("noise with 0.8 of the standard deviation, 1e-04", True),
-        ("noise with 0.95 of the standard deviation, 1e-04", True),
+        ("noise of 0.3 sigma, 1e-04", False),
+        ("noise of 0.5 sigma, 1e-04", False),
+        ("noise of 0.8 sigma, 1e-04", True),
+        ("noise of 0.95 sigma, 1e-04", True),
     ],
 )
 def test_no_bound_is_given_where_noise_decides(name: str, undecided: bool) -> None:
