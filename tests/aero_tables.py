@@ -1,4 +1,4 @@
-"""A vehicle with tables of coefficients over angle of attack, for the tests of them: ordinary scenario keys."""
+"""Provide a vehicle with coefficient tables over angle of attack, as ordinary scenario keys."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ AIR = {"model": "constant", "density_kgpm3": 0.9, "pressure_Pa": 7e4, "temperatu
 
 
 def table(axes: dict[str, list[float]], seed: int, *names: str) -> Tree:
-    """Long-format table of columns `names` with random values; zero at total_deg = 0 and 180 where they must be."""
+    """Return a long-format table of columns `names` with random values that are zero where they must be, at total_deg =
+    0 and 180.
+    """
     made = np.random.default_rng(seed)
     points = np.array(list(itertools.product(*axes.values())))
     columns: dict[str, Any] = dict(zip(axes, points.T, strict=True))
@@ -60,7 +62,7 @@ RATES = table(
 
 
 def flying(aero: Tree, velocity_B_mps: list[float], **changes: Any) -> Rig:
-    """The vehicle over a flat Earth at `velocity_B_mps` in a constant atmosphere, body axes along north, east, down."""
+    """Return the vehicle over a flat Earth at `velocity_B_mps` in a constant atmosphere, axes north, east, down."""
     return burning({"aero": aero}, {}, velocity_B_mps, **changes)
 
 

@@ -1,6 +1,6 @@
-"""The figures of pages in a real browser: `make test-browser`. Not collected by `make test`: it needs Chromium.
+"""Check the figures of pages in a real browser: `make test-browser`. Not collected by `make test`: it needs Chromium.
 
-MAXQ_PAGES=report.html:review.html looks at the texts of those pages too.
+MAXQ_PAGES=report.html:review.html adds those pages to the check of texts.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ FAULTS = """(() => {
 
 
 def plots() -> list[Plot]:
-    """Return every kind of series, with numbers of every size."""
+    """Return a plot of every kind of series, with numbers of every magnitude."""
     t, random = np.linspace(0.0, 60.0, 200), np.random.default_rng(1)
     values = random.normal(5.0, 1.0, 200)
     v: Any = SimpleNamespace(name="gimbal", metric="max_gimbal_deg", unit="deg", kind="limit", bound=6.5)
@@ -141,7 +141,7 @@ def test_no_text_is_clipped_or_lies_over_another(page: Page, file: Path, width: 
 
 
 def test_overlapping_texts_are_found(page: Page, file: Path) -> None:
-    """The check can fail."""
+    """The check finds two overlapping texts, so it can fail."""
     shown(page, file, 1280)
     value(page, "(() => { const t = document.querySelector('figure svg text'); t.after(t.cloneNode(true)); })()")
     assert len(value(page, FAULTS)) == 1
@@ -183,7 +183,7 @@ CURVES = """[...document.querySelectorAll('#figure-loops .panel')]
 
 
 def test_a_slider_chooses_the_loop_of_every_plane(page: Page, file: Path) -> None:
-    """By keyboard: three keys show both operating points of pitch, and the choice of the plane that of yaw."""
+    """Three key presses show both operating points in pitch; choosing the yaw plane shows the one in yaw."""
     shown(page, file, 1280)
     figure = "document.getElementById('figure-loops')"
     assert value(page, f"{figure}.querySelector('output b').textContent") == "10 s, pitch"

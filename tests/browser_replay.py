@@ -1,7 +1,7 @@
-"""`simreplay --web` in a real browser: `make test-browser`. Not collected by `make test`: it needs Chromium.
+"""Check `simreplay --web` in a real browser: `make test-browser`. Not collected by `make test`: it needs Chromium.
 
-The page is opened in headless Chromium, driven by the DevTools protocol. The checks are that the viewer has loaded the
-flight and drawn something, and that all requests went to this machine.
+The DevTools protocol opens the page in headless Chromium. The checks are that the viewer has loaded the flight and
+drawn something, and that all requests went to this machine.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PATIENCE_S = 90.0  # WebAssembly of 40 MB, compiled and drawn in software
 
 
 def browser() -> str:
-    """Return the browser's program, or skip the test with a reason if there is none."""
+    """Return the path of the browser, or skip the test if none is installed."""
     for name in ("chromium", "chromium-browser", "google-chrome"):
         if (found := shutil.which(name)) is not None:
             return found
@@ -38,7 +38,7 @@ def browser() -> str:
 
 @pytest.fixture
 def served() -> Iterator[tuple[str, int]]:
-    """Return the address of the page, and its port."""
+    """Yield the address and the port of the page."""
     port = free_port()
     command = [sys.executable, "-m", "maxq.tools.simreplay", str(OLD_LOG), "--web", "--port", str(port)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:

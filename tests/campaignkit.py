@@ -1,4 +1,4 @@
-"""Small campaigns for tests: KSR-III ascents of a fraction of a second with a handful of dispersions."""
+"""Build small campaigns: KSR-III ascents of a fraction of a second with a few dispersions."""
 
 from __future__ import annotations
 
@@ -74,13 +74,13 @@ def data_set(folder: Path) -> pa.Table:
 
 
 def data_set_of(folder: Path) -> pa.Table:
-    """Return the same as `data_set` if the folder also contains files that were set aside."""
+    """Return the data as `data_set` does, from a folder that also contains files that were set aside."""
     parts = [pq.read_table(part) for part in sorted((folder / "runs").glob("*.parquet"))]
     return pa.concat_tables(parts).sort_by("run").combine_chunks()
 
 
 def same(a: pa.Table, b: pa.Table) -> bool:
-    """Return True if both are bitwise equal, where nan equals nan."""
+    """Return True if both tables are bitwise equal; nan equals nan."""
     if a.schema != b.schema or len(a) != len(b):
         return False
     return all(

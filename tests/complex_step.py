@@ -1,4 +1,4 @@
-"""Complex steps through complex arithmetic, and the filter F3 written down again for them."""
+"""Provide complex-step derivatives of complex functions, and an independent form of the filter F3."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ import numpy as np
 
 
 class Pair:
-    """x + j y of complex x and y: a complex step goes through it (Squire & Trapp, SIAM Review 40, 1998)."""
+    """The number x + j y with complex x and y, so that a complex step passes through it.
+
+    Source: Squire & Trapp, SIAM Review 40, 1998.
+    """
 
     def __init__(self, x: Any, y: Any = 0.0) -> None:
         self.x, self.y = x, y
@@ -26,12 +29,12 @@ class Pair:
         return Pair(self.x / square, -self.y / square)
 
     def log(self) -> tuple[Any, Any]:
-        """Return ln of the magnitude and, within a quarter turn, the angle."""
+        """Return the natural logarithm of the magnitude, and the angle; valid within a quarter turn."""
         return 0.5 * np.log(self.x**2 + self.y**2), np.arctan(self.y / self.x)
 
 
 def filter_f3(own: Any, s: complex) -> Pair:
-    """Own parameters: ln zero (Hz), its zeta, ln pole, its zeta; of the first-order section ln zero and ln pole."""
+    """Return F3 at s. `own`: ln zero (Hz), its zeta, ln pole, its zeta; ln zero, ln pole of the first-order section."""
     z_hz, z_zeta, p_hz, p_zeta, z1_hz, p1_hz = own[:6]
     at = Pair(s.real, s.imag)
 

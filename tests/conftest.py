@@ -1,8 +1,8 @@
-"""The settings of all tests.
+"""Configure all tests.
 
-Hypothesis chooses the same examples in every run, or new ones with MAXQ_EXAMPLES=random. Ctrl-C reaches the commands
-under test also where the tests were started in the background: a shell has it ignored there, by all children, too.
-Every picture that a test makes is looked at.
+Hypothesis tries the same examples in every run, or new ones with MAXQ_EXAMPLES=random. Ctrl-C is enabled again for the
+commands under test: a shell disables it in background jobs and their children. The texts of every figure that a test
+saves are checked.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what is long as slow, too, before pytest selects by marks."""
+    """Mark tests marked `long` as `slow` too, before pytest selects tests by marks."""
     for item in items:
         if item.get_closest_marker("long") is not None:
             item.add_marker("slow")

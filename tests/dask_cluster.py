@@ -1,4 +1,4 @@
-"""A scheduler and worker processes on this machine, as a cluster has them."""
+"""Start a scheduler and worker processes on this machine, like those of a cluster."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Machines:
     processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
     def worker(self) -> subprocess.Popen[bytes]:
-        """Start a further worker process of one thread."""
+        """Start another worker process with one thread."""
         command = [
             sys.executable,
             "-m",

@@ -1,4 +1,4 @@
-"""Nodes of the nominal flight, flown once for all tests that need some."""
+"""Provide operating points of the nominal flight, which is flown once for all tests."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TIMES_S = tuple(float(t) for t in range(5, 60, 5))  # the paper's
 
 @cache
 def nominal(*overrides: str) -> LoadedScenario:
-    """Return the vehicle with the hand-made design, so that numbers in tests do not depend on the optimiser."""
+    """Return the vehicle with the hand-made design, so that numbers in tests are independent of the optimiser."""
     return load_scenario("nominal", ['design="designs/ksr3-default.toml"', *overrides])
 
 
@@ -37,7 +37,7 @@ def flown(plane: str = "pitch", *overrides: str) -> tuple[Node, ...]:
 
 @cache
 def published(plane: str = "pitch", *overrides: str) -> tuple:
-    """Return the operating point with the published equations of design/paper."""
+    """Return the operating points with the published equations of design/paper."""
     return tuple(published_nodes(nominal(*overrides), TIMES_S, plane=plane))
 
 
@@ -56,7 +56,7 @@ def design() -> Design:
 
 
 def without(node: Node, *, modes: bool = False, tanks: bool = False) -> Node:
-    """Return the node without its bending modes, or its pendulums (their mass is then missing)."""
+    """Return the operating point without its bending modes, or without its pendulums and their mass."""
     held = without_bending(node.held) if modes else node.held.copied()
     for k in range(len(held.swing_rad) if tanks else 0):
         column = schedule.tank_column(k)
@@ -65,7 +65,7 @@ def without(node: Node, *, modes: bool = False, tanks: bool = False) -> Node:
 
 
 def ideal(node: Node, *, actuator: bool = False, gyro: bool = False) -> Node:
-    """Return the node with an ideal actuator or gyro."""
+    """Return the operating point with an ideal actuator or gyro."""
     i = node.instruments
     changed = dataclasses.replace(
         i,
@@ -76,9 +76,9 @@ def ideal(node: Node, *, actuator: bool = False, gyro: bool = False) -> Node:
 
 
 def closed_damping(loop: Loop) -> dict[str, float]:
-    """Return the damping ratio that each lightly damped pole of bending and slosh has in the closed loop, by label.
+    """Return the damping ratio of each lightly damped bending and slosh pole of the closed loop, by label.
 
-    The poles are followed from the open loop by raising both gains together from zero, step by step.
+    The poles are followed from the open loop while both gains rise together from zero.
     """
     followed = [r for r in loop.fixed.resonances() if r.kind in ("bending", "slosh")]
     if not followed:
@@ -96,7 +96,10 @@ def closed_damping(loop: Loop) -> dict[str, float]:
 
 
 def frozen(time_s: float, *overrides: str, plane: str = "pitch") -> tuple[LoadedScenario, Node]:
-    """A start on the nominal flight's path at a node, over a flat Earth, with the vehicle's clock standing still."""
+    """Return a scenario that starts at a point of the nominal flight with the vehicle's clock stopped, and the point.
+
+    The Earth is flat.
+    """
     node = node_at(time_s)
     path, speed = node.condition.pitch_rad, node.condition.airspeed_mps
     altitude = {5.0: 172.0, 40.0: 7200.0, 55.0: 16000.0}[time_s]
@@ -141,7 +144,10 @@ def frozen(time_s: float, *overrides: str, plane: str = "pitch") -> tuple[Loaded
 
 
 def agrees_with_a_kick(loop: Loop, plain: Flight, kicked: Flight, command: str, node_s: float, kick_deg: float) -> None:
-    """Fifty samples of the command after a kick of one sample in it: two flights' difference, and the sampled loop."""
+    """Check that two flights, of which one has a kick in one command sample, differ as the sampled loop predicts.
+
+    Fifty samples of the command after the kick are compared.
+    """
     t = plain.time_s(command) - node_s
     at = [int(np.argmin(np.abs(t - (0.01 * (k + 1) + 0.0045)))) for k in range(50)]
     difference = (kicked[command] - plain[command])[at]

@@ -1,4 +1,4 @@
-"""A small flight log that the tests of the log write, read, cut and damage."""
+"""Write a small flight log for the tests that read, cut and damage logs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Samples = tuple[IntArray, Array]
 
 
 def samples(group: str, rate_hz: int, duration_s: float) -> Samples:
-    """Return random bits of every kind that a double can hold: signed zeros, denormals, infinities, many NaNs."""
+    """Return random bit patterns of every kind of double: signed zeros, denormals, infinities, many NaNs."""
     n = round(rate_hz * duration_s)
     random = np.random.default_rng([rate_hz, n])
     values = random.normal(size=(n, len(TABLE.columns(group))))
@@ -62,7 +62,7 @@ FRAMES = FramePath(
 
 
 def write_example(path: Path, head: RunHead = HEAD) -> bytes:
-    """Write the example and return the bytes of the file: chunks for seconds 0, 1, 2 and 3."""
+    """Write the example log and return its bytes. It has a chunk for each of the seconds 0, 1, 2 and 3."""
     with LogWriter(path, TABLE, head) as log:
         log.write_block({"fast": FAST, "slow": SLOW}, EVENTS, [FRAMES])
     return path.read_bytes()
@@ -73,7 +73,7 @@ def same_bits(a: Array, b: Array) -> bool:
 
 
 def holds_exactly(log: Log, seconds: list[int]) -> bool:
-    """Return True if the log has all samples and events of these seconds, bit by bit, and no others."""
+    """Return True if the log contains exactly the samples and events of these seconds, bit for bit."""
     for group, (times, values) in (("fast", FAST), ("slow", SLOW)):
         kept = np.isin(times // SECOND, seconds)
         for column, channel in enumerate(TABLE.columns(group)):

@@ -1,9 +1,8 @@
-"""Broken input files, drawn by Hypothesis from the files that maxq ships and from their JSON Schemas.
+"""Draw broken input files with Hypothesis, from the files that maxq ships and from their JSON Schemas.
 
-`broken(kind)` is a strategy of texts: the base file of a kind with one to three mutations (a value dropped, doubled, of
-another type, at an end of its range, nested, a key that the schema knows, an unknown one), or its bytes damaged.
-`answer(kind, folder, name, data)` is what maxq makes of it: "" when the file loads and packs, else the line that a
-person reads.
+`broken(kind)` is a strategy of texts: the base file of a kind with one to three mutations, or with damaged bytes. A
+mutation drops, doubles or nests a value, changes its type, moves it to an end of its range, or adds a key, known to the
+schema or not. `answer(kind, folder, name, data)` returns the error message of maxq: "" when the file loads and packs.
 """
 
 from __future__ import annotations
@@ -206,7 +205,7 @@ KINDS = (*FILES, "table")
 
 
 def write_files(folder: Path) -> None:
-    """The files as they are before they are broken."""
+    """Write the intact files."""
     write_ascent(folder)
     for name in ("scenario", "campaign", "case", "suite", "layout"):
         (folder / FILES[name]).write_text(BASES[name])
@@ -326,7 +325,7 @@ values = st.one_of(numbers, numbers, st.sampled_from(TEXTS), st.sampled_from(NES
 
 
 def from_schema(schema: dict[str, Any], root: dict[str, Any], depth: int = 0) -> st.SearchStrategy[Any]:
-    """Return values, most of which satisfy the schema; some numbers are beyond its bounds."""
+    """Return a strategy of values that mostly satisfy the schema; some numbers exceed its bounds."""
     if "$ref" in schema:
         return from_schema(root["$defs"][schema["$ref"].rpartition("/")[2]], root, depth)
     if "enum" in schema or "const" in schema:
@@ -369,7 +368,7 @@ def from_schema(schema: dict[str, Any], root: dict[str, Any], depth: int = 0) ->
 
 
 def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Return the paths of all values below."""
+    """Yield the paths of all values in a tree."""
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, item in items:
         yield (*path, key)
@@ -403,7 +402,7 @@ def _schema(kind: str) -> dict[str, Any]:
 
 @st.composite
 def mutated(draw: st.DrawFn, kind: str) -> str:
-    """Return the base document with one to three mutations, as TOML."""
+    """Return the base document as TOML, with one to three mutations."""
     schema, tree = _schema(kind), copy.deepcopy(tomllib.loads(BASES[kind]))
     for _ in range(draw(st.sampled_from([1, 1, 1, 2, 3]))):
         every = list(places(tree))
@@ -436,7 +435,7 @@ def mutated(draw: st.DrawFn, kind: str) -> str:
 
 
 def toml(tree: dict[str, Any]) -> str:
-    """Return TOML, also of values that tomli_w cannot write."""
+    """Return a tree as TOML, including values that tomli_w cannot write."""
     try:
         return tomli_w.dumps(tree)
     except (TypeError, ValueError):  # an integer of thousands of digits, a lone surrogate
@@ -464,7 +463,7 @@ BYTES = [
 
 @st.composite
 def damaged(draw: st.DrawFn, text: str) -> bytes:
-    """Return the bytes with some removed, doubled, or inserted."""
+    """Return the bytes of a text with some removed, doubled or inserted."""
     data = text.encode(errors="replace")
     for _ in range(draw(st.integers(1, 3))):
         at = draw(st.integers(0, len(data)))
@@ -542,8 +541,9 @@ USES: dict[str, Callable[[str], Any]] = {"campaign": _campaign, "case": read_cas
 
 
 def answer(kind: str, folder: Path, name: str, data: bytes) -> str:
-    """Return the error message for a file: "" if it loads and packs. Any exception but those for wrong input passes
-    through.
+    """Return the error message for a file: "" if it loads and packs.
+
+    Exceptions other than those for wrong input pass through.
     """
     place = folder / name
     before = place.read_bytes()

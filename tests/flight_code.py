@@ -1,4 +1,4 @@
-"""Flight code for the tests: compiled from C where there is a compiler, and scenarios that fly it."""
+"""Compile flight code from C where a compiler is installed, and build scenarios that fly it."""
 
 from __future__ import annotations
 
@@ -28,5 +28,5 @@ def compiled(folder: Path, source: Path, name: str, *flags: str, program: bool =
 
 
 def flies(**computer: object) -> list[str]:
-    """Return overrides with which a scenario flies external code."""
+    """Return overrides that make a scenario fly external code."""
     return ["vehicle.computer.law=external", *(f"vehicle.computer.{key}={value}" for key, value in computer.items())]

@@ -1,10 +1,10 @@
-"""Small vehicles for the tests of the flight, and the tests' only contact with the flight kernels.
+"""Build small vehicles for flight tests, and call the flight kernels on behalf of all tests.
 
-A scenario is written as a dict and goes the way of every scenario: TOML text, loader, packing. `Parts`
-describes a vehicle by its parts (core, engine, pendulums, modes); `scenario_of` composes the whole that the
-vehicle file wants, `oracle_vehicle` and `oracle_state` say the same to the independent oracles.
+A scenario is a dict that becomes TOML text and passes through loader and packing like any other. `Parts` describes a
+vehicle by its parts (core, engine, pendulums, modes). `scenario_of` composes the totals that the vehicle file needs;
+`oracle_vehicle` and `oracle_state` give the same vehicle and state to the independent oracles.
 
-The end of the file is all that knows how kernels are called: `Rig` and `Stretches`.
+Only `Rig` and `Stretches`, at the end of the file, call kernels.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def toml(value: Any) -> str:
 
 
 def merged(tree: Tree, changes: Tree) -> Tree:
-    """Return a copy of `tree` with the values of `changes` in place of its own, table by table."""
+    """Return a copy of `tree` in which the values of `changes` replace existing ones, table by table."""
     out = dict(tree)
     for key, value in changes.items():
         out[key] = merged(out[key], value) if isinstance(value, dict) and key in out else value
@@ -60,7 +60,7 @@ def load(tree: Tree) -> LoadedScenario:
 # --- vehicles by their parts
 @dataclass(frozen=True)
 class Tank:
-    """A pendulum; `place_m`: y and z of its hinge from the body axis."""
+    """A pendulum. `place_m`: y and z of its hinge, from the body axis."""
 
     mass_kg: float
     length_m: float
@@ -71,7 +71,7 @@ class Tank:
 
 @dataclass(frozen=True)
 class Mode:
-    """A mode of one plane: shape and slope d(phi)/d(x_n) at the vehicle's `stations`."""
+    """A mode of one plane: shape and slope d(phi)/d(x_n) at the `stations` of the vehicle."""
 
     frequency_hz: float
     mass_kg: float
@@ -82,8 +82,9 @@ class Mode:
 
 @dataclass(frozen=True)
 class Parts:
-    """Stations in m aft of the nose. `core_inertia` is the tensor about the core CG, B axes, engine
-    straight.
+    """A vehicle by its parts; stations in m aft of the nose.
+
+    `core_inertia` is the tensor about the core CG, in B axes, with the engine straight.
     """
 
     core_mass_kg: float = 4000.0
@@ -126,7 +127,7 @@ EMPTY_SPACE: Tree = {
 
 
 def composed(parts: Parts) -> tuple[float, Array, Array]:
-    """Return the total mass, CG (station, y, z) and inertia tensor about it, with bobs at rest behind their hinges."""
+    """Return the total mass, CG (station, y, z) and inertia tensor about it; bobs hang at rest behind their hinges."""
     masses = [parts.core_mass_kg, *(tank.mass_kg for tank in parts.tanks)]
     places = [np.array([-parts.core_cg[0], parts.core_cg[1], parts.core_cg[2]])]
     places += [np.array([-(tank.hinge_station_m + tank.length_m), *tank.place_m]) for tank in parts.tanks]
@@ -200,7 +201,7 @@ def stage_of(parts: Parts) -> Tree:
 
 
 def scenario_of(parts: Parts, **sections: Any) -> Tree:
-    """Return the scenario that flies `parts` through empty space, with whole sections merged in on top."""
+    """Return the scenario that flies `parts` through empty space, with whole `sections` merged in."""
     vehicle: Tree = {
         "name": "parts",
         "reference": {"length_m": 14.0, "diameter_m": 1.0, "area_m2": 0.8},
@@ -217,7 +218,7 @@ def with_stage(tree: Tree, **changes: Any) -> Tree:
 
 
 def oracle_vehicle(parts: Parts, damping_1ps: tuple[float, ...] = ()) -> system.Vehicle:
-    """Return the same vehicle for the oracles; pairs need the same number of modes in both planes."""
+    """Return the same vehicle for the oracles; mode pairs need equal numbers of modes in both planes."""
     x, y, z = parts.core_cg
     at = {station: k for k, station in enumerate(parts.stations_m)}
     pairs = tuple(
@@ -265,16 +266,16 @@ def _meet(P, pool, state, y, space, until_ns):  # type: ignore[no-untyped-def]  
 
 
 def gimbal_motions(channels: Any) -> Array:
-    """Return the angle, rate and acceleration (n, 3) of some gimbal motions."""
+    """Return the angle, rate and acceleration (n, 3) of gimbal motions."""
     return np.array(channels.tolist())
 
 
 @dataclass
 class Rig:
-    """A packed flight, with the derivative of its state at hand.
+    """A packed flight and the derivative of its state.
 
-    `y` (n,) is the initial state and may be written; `dy`, `aux`, `props` hold what the last `derivative`
-    gave.
+    `y` (n,) is the initial state and may be written; `dy`, `aux` and `props` contain results of the latest
+    `derivative`.
     """
 
     loaded: LoadedScenario
@@ -305,7 +306,7 @@ class Rig:
 
     @property
     def vehicle(self) -> Any:
-        """Return the parameters of the first stage's vehicle; may be written."""
+        """Return the vehicle parameters of the first stage; they may be written."""
         return self.packed.parameters[0].vehicle
 
     @property
@@ -314,9 +315,7 @@ class Rig:
 
     @property
     def held(self) -> Any:
-        """Return the values that are held between events: commands (rad), injected loads, on the pad or not, burning or
-        not.
-        """
+        """Return the values held between events: commands (rad), injected loads, flags of launch pad and burning."""
         return self.packed.memory[0].held
 
     @property
@@ -324,23 +323,23 @@ class Rig:
         return self.vehicle.sizes
 
     def derivative(self, y: Array, time_s: float = 0.0) -> Array:
-        """Return the time derivative of `y` (n,) at a flight time; a copy."""
+        """Return a copy of the time derivative of `y` (n,) at a flight time."""
         return self.derivative_within(y, round(1e9 * time_s), 0.0)
 
     def derivative_within(self, y: Array, now_ns: int, elapsed_s: float) -> Array:
-        """Return the derivative at `elapsed_s` of a step that starts at `now_ns`."""
+        """Return the derivative at `elapsed_s` into a step that starts at `now_ns`."""
         full = np.zeros(MAX_STATE)
         full[: self.n] = y
         evaluate_into(self.packed.parameters, self.packed.pool, self.packed.memory, full, now_ns, elapsed_s, self.space)
         return self.dy[: self.n].copy()
 
     def run(self) -> FlightRun:
-        """Return a flight from `y`, which uses the memory of the rig."""
+        """Fly from `y`, using the memory of the rig, and return the flight."""
         return FlightRun(self.loaded, self.packed, log=False)
 
 
 def rig(tree: Tree) -> Rig:
-    """Return a rig ready to fly: engine, computer and clock at the scenario's start."""
+    """Return a rig ready to fly, with engine, computer and clock at the start of the scenario."""
     loaded = load(tree)
     return rig_of(loaded)
 
@@ -353,9 +352,9 @@ def rig_of(loaded: LoadedScenario) -> Rig:
 
 
 def flown(made: Rig, duration_s: float, every_s: float | None = None) -> Array:
-    """Return the states (samples, n) at the start and every `every_s` (default: only at the end) of a flight.
+    """Return the states (samples, n) of a flight at the start and every `every_s` (default: at the end only).
 
-    `every_s` must be a multiple of the step: then where a state is taken changes nothing in the flight.
+    `every_s` must be a multiple of the step, so that sampling does not change the flight.
     """
     run = made.run()
     period = round(1e9 * (every_s or duration_s))
@@ -367,7 +366,7 @@ def flown(made: Rig, duration_s: float, every_s: float | None = None) -> Array:
 
 
 def meet(made: Rig, until_ns: int) -> int:
-    """Everything that is due now (samples, commands, ignition); nanoseconds to the next such instant."""
+    """Process everything due at this instant (samples, commands, ignition), and return the ns to the next instant."""
     return int(
         _meet(made.packed.parameters, made.packed.pool, made.packed.memory, made.packed.state, made.space, until_ns)
     )
@@ -393,7 +392,7 @@ def engine_states(made: Rig, angle: Array, rate: Array, accel: Array) -> Array:
 
 
 def to_simulator(made: Rig, state: system.State) -> Array:
-    """Return the oracle's state as the simulator's (n,)."""
+    """Return the oracle's state as a simulator state (n,)."""
     y = made.y.copy()
     w = state.w_BI_B_radps
     y[layout.R_I : layout.R_I + 3], y[layout.V_I : layout.V_I + 3] = state.r_I_m, state.v_I_mps
@@ -415,7 +414,7 @@ def to_simulator(made: Rig, state: system.State) -> Array:
 
 
 def to_oracle(made: Rig, y: Array) -> system.State:
-    """Return a simulator state as the oracle's; the engine angles come from the actuator states."""
+    """Return a simulator state as an oracle state; engine angles follow from the actuator states."""
     made.derivative(y)
     engine = made.motion
     w = y[layout.W_BI_B : layout.W_BI_B + 3].copy()
@@ -445,7 +444,7 @@ def to_oracle(made: Rig, y: Array) -> system.State:
 
 
 def accelerations(made: Rig, y: Array, gravitation_I_mps2: Array | None = None) -> dict[str, Array]:
-    """Return the simulator's result under the names of `multibody_sympy.accelerations`."""
+    """Return the simulator's accelerations under the names of `multibody_sympy.accelerations`."""
     dy = made.derivative(y)
     state = to_oracle(made, y)
     w = state.w_BI_B_radps

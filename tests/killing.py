@@ -1,8 +1,8 @@
-"""Flies a campaign in a child that is killed at a random instant, again and again, until one child gets through.
+"""Fly a campaign in a child that is killed at a random instant, repeatedly, until one child completes.
 
     python killing.py CAMPAIGN DIR KILLS SEED LONGEST_S
 
-The parent has loaded everything before it forks, so that a child begins to fly at once. Prints the number of kills.
+The parent loads everything before it forks, so that a child begins to fly at once. Prints the number of kills.
 """
 
 from __future__ import annotations

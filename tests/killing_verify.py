@@ -1,11 +1,11 @@
-"""Verify a design in children that are killed one after the other, then in another that completes.
+"""Verify a design in children that are killed one after the other, then in one that completes.
 
     python killing_verify.py SUITE DIR PARTS:SIGNAL ...
 
-Each child receives its signal when this number of parts is stored. The parent has loaded everything before it forks.
-Print, as JSON, the exit code of each killed child with the numbers of parts and campaign runs that were then stored. Of
-the last child, print the exit code, the requirements, the numbers of parts that it recalled and computed, and the
-number of stored parts that were written again.
+Each child receives its signal when this number of parts is stored. The parent loads everything before it forks. The
+output is JSON: the exit code of each killed child with the numbers of parts and campaign runs then stored. For the last
+child it gives the exit code, the requirements, the numbers of recalled and computed parts, and the number of stored
+parts that were written again.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def runs_kept() -> int:
 
 
 def stored() -> dict[str, int]:
-    """Return the time of writing of each stored part."""
+    """Return the time at which each stored part was written."""
     return {file.name: file.stat().st_mtime_ns for file in memory.glob("*.json")}
 
 

@@ -1,4 +1,4 @@
-"""Layouts whose first gains are in difficulty, as simvehicle writes them: a student rocket and a heavy launcher."""
+"""Build layouts for which simvehicle finds only marginal first gains: a student rocket and a heavy launcher."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ minimum_on_s = 0.02
 
 @cache
 def folder(name: str) -> Path:
-    """Return a folder with the files of a layout in tests/data/layouts; kept for the session."""
+    """Return a folder with the built files of a layout in tests/data/layouts, kept for the session."""
     return _copy(name)
 
 
@@ -48,7 +48,7 @@ def _copy(name: str) -> Path:
 
 @cache
 def lost() -> Path:
-    """Return a folder with the student rocket, its case, and a scenario whose flight is lost while the engine burns."""
+    """Return a folder with the student rocket, its case, and a scenario that is lost while the engine burns."""
     out = _copy("student")
     (out / "design.toml").write_text(WEAK)
     return out

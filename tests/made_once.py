@@ -1,4 +1,4 @@
-"""Files that take seconds to make, made once for all workers of a test run."""
+"""Build slow files once for all workers of a test run."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from filelock import FileLock
 def copy_of(name: str, make: Callable[[Path], object]) -> Path:
     """Return a folder of this process with the files that `make` writes into a folder.
 
-    The first worker that asks for `name` makes the files, and the others wait for them.
+    The first worker that requests `name` makes the files, and the others wait for them.
     """
     shared = Path(os.environ["MAXQ_TEST_FILES"])  # by conftest.py
     with FileLock(shared / f"{name}.lock"):

@@ -1,4 +1,4 @@
-"""The messages of a log as the `mcap` package and protobuf's own parser read them, for oracles of our reader."""
+"""Read the messages of a log with the `mcap` package and protobuf's parser, as oracles of maxq's reader."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mcap.records import Channel, Message, Schema
 
 
 def messages(path: Path, topic: str) -> Iterator[tuple[Schema, Channel, Message, Any]]:
-    """Yield schema, channel, raw message and decoded message of a topic."""
+    """Yield the schema, channel, raw message and decoded message of each message of a topic."""
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages(topics=[topic]):
             assert schema is not None

@@ -1,4 +1,4 @@
-"""The common parts of the optimiser's tests: KSR-III's nodes, flown once, and problems on them."""
+"""Provide the operating points of KSR-III, flown once, and optimisation problems on them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def case(*overrides: str, name: str = "ksr3-identical"):
 
 @cache
 def plants(*overrides: str, name: str = "ksr3-identical"):
-    """Plants of a case, with few nodes unless the overrides say otherwise."""
+    """Return the plants of a case, at few operating points unless the overrides set others."""
     return nominal_plants(case(*overrides, name=name))
 
 
@@ -33,7 +33,7 @@ def all_nodes(loop: str = "pade"):
 
 @cache
 def solution(*overrides: str):
-    """Solve the case with identical limits on the paper's eleven nodes."""
+    """Solve the case with identical limits at the eleven operating points of the paper."""
     loaded = case(*overrides)
     return solve(loaded, all_nodes(loaded.case.loop))
 
@@ -44,13 +44,13 @@ def problem(*overrides: str, on=None):
 
 
 def pd(p) -> PdVariables:
-    """Return the problem's law."""
+    """Return the problem's law as PD variables."""
     assert isinstance(p.law, PdVariables)
     return p.law
 
 
 def designed(s) -> PdDesign:
-    """Return the solution's law."""
+    """Return the solution's law as a PD design."""
     assert isinstance(s.law, PdDesign)
     return s.law
 

@@ -1,4 +1,4 @@
-"""The built-in layout petrel as simvehicle writes it, for tests on a second vehicle: several stages, no fins."""
+"""Build the layout petrel with simvehicle, for tests on a second vehicle with several stages and no fins."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from maxq.tools.vehicle.layout import read_layout
 
 @cache
 def folder() -> Path:
-    """Return a folder with the files of the vehicle; kept for the session."""
+    """Return a folder with the files of the vehicle, kept for the session."""
     return _files() / "petrel"
 
 
 def path() -> tuple[float, tuple[float, float]]:
-    """Return pitch-over and tangents of its ascent to orbit, the search for which takes twenty seconds."""
+    """Return the pitch-over time and tangents of its ascent to orbit; the search takes twenty seconds."""
     kick_rad, *tangents = json.loads((_files() / "path.json").read_text())
     return kick_rad, (tangents[0], tangents[1])
 

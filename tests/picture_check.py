@@ -1,4 +1,4 @@
-"""Looks at a finished figure by Matplotlib's own bounding boxes."""
+"""Check the layout of a finished figure by Matplotlib's bounding boxes."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from maxq.tools.plots.style import dense, settle
 
 
 def faults(figure: Figure) -> list[str]:
-    """Lay out a figure and return its `settled_faults`."""
+    """Draw a figure and return its `settled_faults`."""
     settle(figure)
     return settled_faults(figure)
 
 
 def settled_faults(figure: Figure) -> list[str]:
-    """Texts that leave the picture, pairs of texts that lie over each other, and legends that hide curves. Tick labels
-    off their axes are not drawn and do not count.
+    """Return texts that leave the picture, pairs of overlapping texts, and legends that hide curves.
+
+    Tick labels outside their axes are not drawn and do not count.
     """
     figure.draw_without_rendering()
     renderer = FigureCanvasAgg(figure).get_renderer()  # type: ignore[no-untyped-call]  # Matplotlib does not annotate it

@@ -1,9 +1,9 @@
-"""A second control law, known to tests only: PID without a filter, what design/laws asks of a law and no more.
+"""Define a second control law for tests: PID without a filter, with the minimum that design/laws requires of a law.
 
     C = (k_d, k_p + k_i / s)  on  (rate_radps, angle_rad)
 
-with s on the bilinear axis in a sampled loop. Other inputs in another order than PD's, a gain that depends on the
-frequency, a pole at zero, three gain schedules.
+with s on the bilinear axis in a sampled loop. It differs from PD by the order of inputs, a gain that depends on
+frequency, a pole at zero and three gain schedules.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ KEYS = ("k_d_s", "k_p", "k_i_1ps")
 
 @dataclass(frozen=True)
 class Pid:
-    """At one instant; `sample_s` None: continuous."""
+    """The law at one instant; `sample_s` None: continuous."""
 
     k_d_s: float
     k_p: float
@@ -81,7 +81,7 @@ class Pid:
 
 @dataclass(frozen=True)
 class PidDesign:
-    """Gains (3, nodes) over time."""
+    """The gains (3, nodes) over time."""
 
     nodes_s: Array
     gains: Array
@@ -104,7 +104,7 @@ class PidDesign:
 
 
 class PidVariables:
-    """ln of the three gains at the first and the last node; own parameters are ln of the gains."""
+    """The variables: ln of the three gains at the first and the last operating point."""
 
     inputs, poles_at_zero, own_size = INPUTS, 1, 3
     limits: tuple[LawLimit, ...] = ()

@@ -1,4 +1,4 @@
-"""The common parts of the replay's tests: a kept log of schema 1, and a viewer without a window."""
+"""Provide the common parts of the replay's tests: a stored log of schema 1, and a viewer without a window."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small scenario and vehicle folders for the tests of scenario files."""
+"""Write small scenario and vehicle folders for tests of scenario files."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ limit = 300000.0
 
 
 def modes_csv(times: tuple[float, ...] = (0.0, 59.0), modes: int = 2) -> str:
-    """Return a mode table with stations 0, 7, 14."""
+    """Return a mode table with stations 0, 7 and 14 m."""
     lines = ["time_s,mode,frequency_hz,generalized_mass_kg,station_m,phi,slope_pm,mass_forward_kg"]
     lines += [
         f"{t:g},{m},{9.1 * m + 0.01 * t},{1700 * m},{x},"
@@ -147,7 +147,7 @@ def write_free(folder: Path) -> Path:
 
 
 def write_ascent(folder: Path) -> Path:
-    """Write the scenario of a rocket with all components, flown with a design, and return its path."""
+    """Write the scenario of a rocket with all components and a design, and return its path."""
     vehicle = folder / "vehicles" / "rocket"
     for made in (vehicle, folder / "designs", folder / "winds"):
         made.mkdir(parents=True)

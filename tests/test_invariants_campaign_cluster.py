@@ -1,4 +1,4 @@
-"""On a real scheduler with worker processes, one of them killed under way: the same data set, bit for bit."""
+"""A campaign on a scheduler with worker processes, one of which is killed, gives the same data set bit for bit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ distributed = pytest.importorskip("distributed")
 @pytest.mark.parametrize("threads", [1, 3, 64])
 @pytest.mark.parametrize("runs", [1, 5, 64, 200, 10_000])
 def test_batches_leave_no_thread_without_one(threads: int, runs: int) -> None:
-    """However many threads: unless there are fewer runs than threads each gets a batch, none larger than usual."""
+    """Every thread gets a batch unless there are fewer runs than threads; no batch is larger than usual."""
     flyers: Any = SimpleNamespace(_given=False, _threads=threads)
     size = DaskCluster.batch(flyers, 32, runs)
     assert 1 <= size <= 32

@@ -1,4 +1,4 @@
-"""A draw depends on (campaign seed, key path, run index) alone, and draws that should not correlate do not."""
+"""A draw depends only on campaign seed, key path and run index, and independent draws are uncorrelated."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_the_order_of_keys_changes_nothing(tmp_path: Path, sampling: str) -> Non
 
 
 def test_an_asterisk_draws_for_each_mode_of_the_vehicle(tmp_path: Path) -> None:
-    """The same numbers as with a key for each."""
+    """A key with an asterisk draws the same numbers as one key per mode."""
     law = 'distribution = "normal"\nsigma = 0.1\n'
     key = "vehicle.stage.0.bending.frequency_factor"
     each = "".join(f'[[disperse]]\nkey = "{key}.{n}"\n{law}' for n in range(3))
@@ -87,7 +87,7 @@ def test_the_seed_and_the_key_change_everything() -> None:
 
 
 def test_the_bits_are_those_of_today() -> None:
-    """Campaigns of years ago must be repeatable: neither NumPy nor SciPy may change these."""
+    """The bits of draws are recorded, so that new versions of NumPy or SciPy cannot change old campaigns."""
     assert [x.hex() for x in draws.uniforms(1, "run.seed", 3, 2)] == PINNED["uniforms"]
     assert draws.seeds(1, "run.seed", 3, 2).tolist() == PINNED["seeds"]
     assert [x.hex() for x in draws.latin(1, "a", 6, 2, 4)] == PINNED["latin"]
@@ -96,7 +96,10 @@ def test_the_bits_are_those_of_today() -> None:
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 def test_no_two_inputs_correlate_that_should_not(tmp_path: Path, sampling: str) -> None:
-    """A peer gave every model of a worker the same stream: ten pairs at r = 1."""
+    """No two independent inputs correlate.
+
+    A known error of other tools gives every model of a worker the same stream: ten pairs with r = 1.
+    """
     campaign = maxq.load("campaigns/ksr3", f"campaign.sampling={sampling}")
     n = 4096
     made = campaign.plan.draw(0, n)
@@ -124,7 +127,7 @@ def test_a_latin_hypercube_fills_every_cell_once() -> None:
 
 
 def test_scrambled_sobol_points_are_still_a_net() -> None:
-    """2^m points of the first two dimensions: one in each elementary interval of area 2^-m."""
+    """Each elementary interval of area 2^-m of the first two dimensions contains one of 2^m points."""
     m = 10
     points = draws.Sobol(9, ("a", "b"), 0, 2**m)
     x, y = points("a"), points("b")
@@ -143,8 +146,11 @@ PINNED: dict[str, list[object]] = {
 
 
 def test_vector_winds_have_the_covariance_of_their_table() -> None:
-    """Standard deviations, correlation of the components, and exp(-height / length) between altitudes; of 6,000 draws
-    a correlation is known to 0.013, a standard deviation to 1 %: five of these are allowed."""
+    """Standard deviations, correlation of components, and exp(-height / length) between altitudes are the table's.
+
+    With 6,000 draws the standard error of a correlation is 0.013, and that of a standard deviation 1 %; five are
+    allowed.
+    """
     z = np.arange(3) * 4000.0
     columns = {"sigma_north_mps": [4.0, 9.0, 7.0], "sigma_east_mps": [6.0, 8.0, 12.0], "correlation": [0.8, -0.5, 0.0]}
     table = CsvTable("", {"altitude_m": z, **{name: np.array(values) for name, values in columns.items()}})
@@ -160,7 +166,7 @@ def test_vector_winds_have_the_covariance_of_their_table() -> None:
 
 
 def test_a_search_is_over_what_has_a_range(tmp_path: Path) -> None:
-    """Not over a choice among values, or a text."""
+    """A search covers inputs with a range, but no choice among values and no text."""
     choice = (
         '[[disperse]]\nkey = "vehicle.stage.0.engine.thrust_factor"\ndistribution = "choice"\nvalues = [0.9, 1.1]\n'
     )

@@ -45,7 +45,7 @@ def test_of_the_whole_set_read_back_from_text(ksr3: LoadedCampaign) -> None:
 
 
 def test_of_scalars_as_overrides() -> None:
-    """The long way round: the values on the command line of a single flight."""
+    """A run of dispersed scalars equals a single flight with the values as overrides on the command line."""
     campaign = maxq.load("campaigns/first")
     # an element of a list that the files leave to its default cannot be overridden alone
     names = [d.name for d in campaign.plan.draws if d.targets[0].kind == "number" and not d.name[-1].isdecimal()]
@@ -60,7 +60,7 @@ def test_of_scalars_as_overrides() -> None:
 
 @pytest.mark.parametrize("key", ["bending.pitch.slope_pm", "tank.0.table.hinge_station_m", "aero.table.CA"])
 def test_of_scaled_columns(key: str) -> None:
-    """Against the table written out with NumPy and read as a file would be."""
+    """Scaled columns equal a table that NumPy scales and the reader loads as a file."""
     base = load_scenario("nominal")
     target = find_target(base.scenario, f"vehicle.stage.0.{key}")
     scenario = Dispersed(base.scenario, [TargetChange(target, "scale", "x")])({"x": 1.03})
@@ -92,7 +92,7 @@ def test_rows_that_where_names() -> None:
 
 @pytest.mark.slow
 def test_what_was_packed_before_changes_nothing(ksr3: LoadedCampaign) -> None:
-    """Tables that were fitted once are kept: a process that has packed nothing else gives the same bits."""
+    """Cached fits of tables change nothing: a process that has packed nothing else gives the same bits."""
     for run in range(20):
         packed_bytes(ksr3.scenario_of(run))
     script = (
@@ -125,7 +125,7 @@ GUST = "wind.gust=[{kind='one-minus-cosine',altitude_m=9e3,thickness_m=180.0,edg
     ],
 )
 def test_a_draw_of_a_scenario_with_wind_flies_in_still_air(override: str, key: str, how: Any, value: float) -> None:
-    """The worst vehicle of a campaign in wind, or with gusts, flies the scenario of its design, which has none."""
+    """The worst vehicle of a campaign with wind or gusts flies the windless scenario of its design."""
     windy, still = load_scenario("nominal", [override]), load_scenario("nominal")
     wind = TargetChange(find_target(windy.scenario, key), how, "wind")
     thrust = TargetChange(find_target(windy.scenario, "vehicle.stage.0.engine.thrust_factor"), "set", "thrust")
@@ -137,7 +137,7 @@ def test_a_draw_of_a_scenario_with_wind_flies_in_still_air(override: str, key: s
 
 
 def test_integrator_and_noise_settings_reach_every_run(tmp_path: Path) -> None:
-    """A peer drops its integrator settings on the way to a worker."""
+    """Integrator and noise settings reach every worker."""
 
     campaign = maxq.load(campaignkit.write_campaign(tmp_path), "run.step_s=0.0005", "earth.gravity=inverse_square")
     seeds = set()

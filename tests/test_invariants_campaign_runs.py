@@ -1,4 +1,4 @@
-"""Serial = parallel = resumed = extended = flown again alone, bit by bit; and what is recorded is what was flown."""
+"""Serial, parallel, resumed, extended and repeated runs are bit-identical, and records are of flown values."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ def test_parallel(campaign: LoadedCampaign, serial: Path, tmp_path: Path) -> Non
 def test_chunks_of_any_size(
     campaign: LoadedCampaign, serial: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk: int
 ) -> None:
-    """Check that the other runs of a chunk change nothing in a run."""
+    """The other runs of a chunk change nothing in a run."""
     monkeypatch.setattr(runner, "CHUNK", chunk)
     run_campaign(campaign, tmp_path / "out", workers=1)
     assert campaignkit.same(campaignkit.data_set(tmp_path / "out"), campaignkit.data_set(serial))
 
 
 def test_cancelled_within_a_chunk(campaign: LoadedCampaign) -> None:
-    """Check that earlier flights stay and that the flight under way is dropped."""
+    """After a cancellation, completed flights remain and the current flight is dropped."""
     asked = iter([False] * 3 + [True])
     rows = fly_rows(campaign, [(campaign.plan.draw(0, 8), run) for run in range(8)], lambda: next(asked))
     assert [row.run for row in rows] == [0, 1, 2]
@@ -92,7 +92,7 @@ def test_extended(campaign: LoadedCampaign, serial: Path, tmp_path: Path) -> Non
 
 
 def test_two_processes_share_the_runs_of_a_folder(campaign: LoadedCampaign, serial: Path, tmp_path: Path) -> None:
-    """The later one waits for the earlier one, gets its name, and flies only the rest."""
+    """The later process waits for the earlier one, reports its name, and flies only the remaining runs."""
     rows = campaignkit.data_set(serial)
     folder = tmp_path / "out"
     other, _ = open_store(folder, campaign)
@@ -114,7 +114,7 @@ def test_two_processes_share_the_runs_of_a_folder(campaign: LoadedCampaign, seri
 
 
 def test_success_that_does_not_follow_from_the_metrics_is_named(tmp_path: Path) -> None:
-    """Every edited row is named, also where its metrics were not edited."""
+    """Every row whose success contradicts its metrics is reported, also where its metrics were not edited."""
     slosh = '[[requirement]]\nname = "slosh"\nmetric = "max_slosh_deg"\nlimit = 0.0050\n'
     campaign = campaignkit.small(tmp_path, rest=slosh)
     run_campaign(campaign, tmp_path / "out", workers=1)
@@ -151,7 +151,7 @@ def test_flown_again_alone_from_the_folder_alone(serial: Path, tmp_path: Path) -
 
 
 def test_a_difference_is_seen(serial: Path, tmp_path: Path) -> None:
-    """The comparison can fail: the data set of another seed is not the same flight."""
+    """The comparison can fail: another seed gives a different data set."""
     other = maxq.read(serial).campaign.with_campaign(seed=6)
     again = refly(serial, 4, tmp_path / "out", campaign=other, log=False)
     assert again.same is False
@@ -180,7 +180,7 @@ def test_what_is_recorded_is_what_was_flown(campaign: LoadedCampaign, serial: Pa
 
 @pytest.fixture(scope="module")
 def inexact() -> LoadedCampaign:
-    """Return a campaign whose run 931 has integration errors of 0.045 mm in a bending of 0.68 mm."""
+    """Return a campaign whose run 931 has an integration error of 0.045 mm in a bending of 0.68 mm."""
     return maxq.load("campaigns/ksr3-ringed").with_campaign(runs=8, envelope=Envelope(runs=0))
 
 

@@ -1,20 +1,20 @@
-"""Separate parts of the margin certificate.
+"""The parts of the margin certificate are correct separately.
 
-| what | expected |
+| case | expected |
 |---|---|
-| a signal of less than a pulse a sample, alone | vanishes or is magnified: why measurements are dithered |
+| a signal of less than one pulse per sample, alone | vanishes or is magnified, hence the dither of measurements |
 | the same with slow tones | keeps its amplitude |
-| a slow command rounded under the two tones of its dither | has the gain of a series of Bessel functions, 0.4 % off |
-| these tones, integrated from rest | turn nothing on the whole |
-| gain down of a slow root whose burst is three such steps | that of the linear loop |
+| a slow command rounded under the two tones of its dither | has the gain of a Bessel series, within 0.4 % |
+| these tones, integrated from rest | cause no mean rotation |
+| lower gain margin of a slow root whose burst is three such steps | that of the linear loop |
 | excitation level predicted by the linear loop | that of the flight, and below every limit |
-| a loop as it is; one beyond its stability boundary | decays; grows |
+| a stable loop; a loop beyond its stability boundary | decays; grows |
 | margin bounded at half the sample rate | the linear loop's: its burst does not vanish between the samples |
-| a margin that rounding alone moves by less than half a decibel | is called noise, a larger or lasting one is not |
-| growth beyond the boundary | ends in a limit cycle of some amplitude, or in a loss |
-| a root that grows slowly, and only in the held flight | is measured as "drift"; a wrong gravity shows in it |
+| a margin that rounding changes by less than half a decibel | is reported as noise; a larger or lasting change is not |
+| growth beyond the boundary | ends in a limit cycle or in a loss |
+| a root that grows slowly, and only in the held flight | is reported as "drift"; wrong gravity appears in it |
 | one that grows faster | is a disagreement that names the unstable loop |
-| in-flight response of the ascent | agrees with the frozen loop, or the loop's change in the window explains it |
+| in-flight response of the ascent | agrees with the frozen loop, or its change in the window explains it |
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def _through_converter(increments_rad: np.ndarray, remainder_rad: float) -> np.n
 
 
 def _gain(pulses: float, slow_pulses: float, remainder: float = 0.0) -> float:
-    """Return the gain of the converter at a line of 29.7 Hz sampled at 100 Hz, by a transform over 40 s."""
+    """Return the gain of the converter at 29.7 Hz sampled at 100 Hz, by a transform over 40 s."""
     n, line = 4000, 1188
     turn = 2.0 * np.pi * np.arange(n) / n
     fast = PULSE_RAD * pulses * np.sin(line * turn + 0.4)
@@ -113,7 +113,7 @@ def test_dither_of_fifty_steps_leaves_a_rounded_command_its_gain(steps: float) -
 
 
 def test_tones_of_the_dither_begin_without_a_kick(held) -> None:
-    """Integrated from rest over three beats (whole turns of both), they turn by nothing on the mean."""
+    """Integrated from rest over three beats (whole turns of both), the tones of the dither cause no mean rotation."""
     (low, low_hz), (high, high_hz) = fine_dither(held)
     time_s = np.arange(0.0, 40.0, 1e-3)
     sines = [a * np.sin(2.0 * np.pi * hz * time_s) for a, hz in ((low, low_hz), (high, high_hz))]
@@ -124,7 +124,7 @@ def test_tones_of_the_dither_begin_without_a_kick(held) -> None:
 
 @pytest.mark.long
 def test_slow_root_is_found_under_a_coarse_output() -> None:
-    """At 3.056 s a burst of 0.0033 deg is three steps of the output: 0.84 dB off without dither."""
+    """At 3.056 s a burst of 0.0033 deg is three steps of the output: without dither the margin is 0.84 dB off."""
     robust = load_scenario("nominal", ['design="designs/ksr3-robust.toml"'])
     assert robust.design is not None
     held = hold(robust, maxq.nodes(robust, [3.056])[0])
@@ -169,7 +169,7 @@ def test_half_the_amplitude_measures_the_same(certificate) -> None:
 
 
 def test_margin_is_found_again_from_an_altered_flight(held) -> None:
-    """A loop with 2 dB more gain has 2 dB less margin, of which the linear loop knows nothing."""
+    """A flight with 2 dB more gain has 2 dB less margin, although the linear loop is unchanged."""
     assert held.loaded.design is not None
     loop = maxq.loops([held.node], held.loaded.design)[0]
 
@@ -185,8 +185,9 @@ def test_margin_is_found_again_from_an_altered_flight(held) -> None:
 
 @pytest.mark.slow
 def test_margin_at_half_the_sample_rate(tmp_path: Path) -> None:
-    """Check two blended gyros, bounded at 50 Hz, where all samples of a sine that begins at one of them are 0: such a
-    burst gave 17.1 dB in place of 9.6.
+    """Two blended gyros are bounded correctly at 50 Hz, where a sine that starts at a sample is 0 at all samples.
+
+    Such a burst gave 17.1 dB instead of 9.6 dB.
     """
     (tmp_path / "design.toml").write_text(
         "schema = 2\n[gains]\ntable = [{time_s=57.9, k_p=0.407, k_d_s=0.246}]\n[blend]\npitch = [0.4192, 0.5808]\n"
@@ -203,7 +204,7 @@ def test_margin_at_half_the_sample_rate(tmp_path: Path) -> None:
 
 
 def test_delay_that_does_not_fit_the_computer_is_named(loaded: LoadedScenario) -> None:
-    """At 5 s ksr3-free bears 150 ms, 15 samples; the filter has room for 12."""
+    """At 5 s ksr3-free tolerates a delay of 15 samples; the filter holds 12, so the margin is reported as longer."""
     patient = load_scenario("nominal", ['design="designs/ksr3-free.toml"'])
     held = hold(patient, maxq.nodes(patient, [5.0])[0])
     assert patient.design is not None
@@ -236,7 +237,7 @@ def test_what_grows_ends_as_a_limit_cycle_or_is_lost(held) -> None:
 
 @pytest.fixture(scope="module")
 def drifting() -> LoadedScenario:
-    """At 55 s its slowest root, stable in the ascent, grows at 0.002 1/s where it is held."""
+    """Return a scenario whose slowest root at 55 s, stable in the ascent, grows at 0.002 1/s when held."""
     return load_scenario("nominal", ['design="designs/ksr3-free.toml"'])
 
 
@@ -273,7 +274,7 @@ def test_held_loop_that_grows_fast_is_not_taken_for_a_drift(certificate) -> None
 
 @pytest.mark.parametrize("sigma", [0.05, 0.2, 0.5])
 def test_a_line_that_noise_alone_moves_is_called_noise(sigma: float) -> None:
-    """A response with this standard deviation in each part, its error a share of what was measured, as drawn."""
+    """A response whose parts have the standard deviation of their error is reported as noise."""
     rng = np.random.default_rng(1)
     measured = 1.0 + sigma * (rng.normal(size=5000) + 1j * rng.normal(size=5000))
     reasons = [reason_of(complex(m), sigma / abs(m), 0.0, 0.0, False) for m in measured]
@@ -300,9 +301,7 @@ def test_what_is_left_with_ideal_converters_is_not_theirs() -> None:
     ],
 )
 def test_a_margin_that_rounding_alone_moves_is_called_noise(measured: float, fine: float, reason: str) -> None:
-    """Check margins of 16 dB: rounding is the reason only if the margin without it is the linear loop's, and with it
-    less than half a decibel off.
-    """
+    """Margins of 16 dB are noise only if equal to the linear loop's without rounding and within 0.5 dB with it."""
     rows = [
         MarginRow("gain_up", "dB", 8.1, 16.0, 16.0, 16.0, x, "" if abs(x - 16.0) < 0.2 else "unexplained")
         for x in (measured, fine)

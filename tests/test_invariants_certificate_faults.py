@@ -1,7 +1,7 @@
-"""Faults planted into the simulator, which the certificate must find.
+"""The certificate finds faults planted in the simulator.
 
-A few in every run, all of them under the marker slow: tools/dev/verification/planted_faults.py has the list, and
-docs/verification.md the table.
+A few run in every test run, and all under the marker slow. tools/dev/verification/planted_faults.py lists them, and
+docs/verification.md has the table.
 """
 
 from __future__ import annotations

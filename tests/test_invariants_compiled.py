@@ -1,4 +1,4 @@
-"""Compiled code and its Python source fly the same flight, bit by bit: what is tested in Python is what flies."""
+"""Compiled code and its Python source fly the same flight bit for bit, so tests in Python cover the compiled code."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The flight computer: causality, mirror symmetry, exact sums, injections, switches, faulty inputs.
+"""The flight computer has causality, mirror symmetry, exact sums, injections, switches and checks of faulty inputs.
 
-Run as a program it prints the bytes of a flight: the same source without Numba must print the same.
+Run as a program, this module prints the bytes of a flight: the same source without Numba must print the same.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def test_yaw_may_have_its_own_filter() -> None:
 
 @pytest.mark.slow
 def test_angle_error_is_the_exact_sum() -> None:
-    """10,000 samples: counted less commanded angle to the rounding of one subtraction, no drift of sums."""
+    """After 10,000 samples, counted less commanded angle is exact to the rounding of one subtraction."""
     flown = Flown(angle_error_limit_rad=np.inf, programme=rate_programme([0.0, 9.0], [0.02, -0.01]), pitch_filter=None)
     total = 0
     for increment_rad in np.tile(noise(samples=1000), (10, 1)):
@@ -146,7 +146,7 @@ def test_angle_error_is_the_exact_sum() -> None:
 
 
 def test_law_sees_counts_only() -> None:
-    """Rate and error are whole pulses: the flight software receives no fraction of a pulse."""
+    """Rate and error are whole pulses: the law gets no fraction of a pulse."""
     flown = Flown(programme=None, angle_error_limit_rad=np.inf)
     for increment_rad in noise(samples=50):
         flown.tick(increment_rad)
@@ -157,7 +157,7 @@ def test_law_sees_counts_only() -> None:
 
 
 def test_programme_starts_with_the_flight() -> None:
-    """Started in the middle of the burn, the commanded angle is what the programme turns from there."""
+    """In a flight that starts during the burn, the commanded angle is the integral of the programme from there."""
     flown = Flown(start_s=4.0, programme=rate_programme([0.0, 10.0], [0.0, 0.1]))
     for _ in range(100):
         flown.tick()

@@ -1,4 +1,4 @@
-"""V/F converter: the pulses follow the true angle for ever, and mirror it."""
+"""The pulses of the V/F converter follow the true angle without drift, and mirror it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COUNTS_RAD = st.floats(1e-9, 1e-2)
 
 
 def counted(count_rad: float, increments_rad: list[float]) -> list[ConverterState]:
-    """Return a copy of the state after each sample; the angle turns about body y."""
+    """Return a copy of the state after each sample of a rotation about body y."""
     converter, states, after = pack([make_converter(count_rad)])[0], blank(ConverterState), []
     for increment_rad in increments_rad:
         convert(converter, states[0], 1, increment_rad)
@@ -32,7 +32,7 @@ def counted(count_rad: float, increments_rad: list[float]) -> list[ConverterStat
 @settings(deadline=None, max_examples=200)
 @given(COUNTS_RAD, INCREMENTS)
 def test_pulses_never_leave_the_true_angle(count_rad: float, increments_rad: list[float]) -> None:
-    """In exact arithmetic: within half a pulse (and the rounding of the sums) after every sample."""
+    """In exact arithmetic, the pulses are within half a pulse of the true angle after every sample, plus rounding."""
     true, total = Fraction(0), 0
     for increment_rad, state in zip(increments_rad, counted(count_rad, increments_rad), strict=True):
         true += Fraction(increment_rad)
@@ -45,7 +45,7 @@ def test_pulses_never_leave_the_true_angle(count_rad: float, increments_rad: lis
 
 @pytest.mark.slow
 def test_a_long_flight_does_not_drift() -> None:
-    """400 s at 100 Hz of a rate far below one pulse per sample, then of one far above."""
+    """Over 400 s at 100 Hz, a rate far below one pulse per sample and one far above it do not drift."""
     count_rad = 1e-5
     increments_rad = [1.23456e-7] * 20_000 + [3.21e-3] * 20_000
     last = counted(count_rad, increments_rad)[-1]

@@ -1,4 +1,4 @@
-"""Roll thrusters: limit cycle of a pure inertia in the dead band, switching line, hysteresis, least pulse."""
+"""Roll thrusters on a pure inertia have the expected limit cycle, switching line, hysteresis and minimum pulse."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ HYSTERESIS_RAD = math.radians(0.2)
 
 
 def demands(errors_rad: list[float], minimum_on_s: float = 0.0) -> list[int]:
-    """Return the demands for roll errors at rest, sample by sample."""
+    """Return the roll demands for errors at rest, sample by sample."""
     roll = pack([make_roll(SAMPLE_NS, 0.5, DEAD_BAND_RAD, HYSTERESIS_RAD, minimum_on_s)])[0]
     state, out = blank(RollState)[0], []
     for error_rad in errors_rad:

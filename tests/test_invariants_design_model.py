@@ -1,14 +1,14 @@
-"""The invariants of nodes, deviations and loops for every vehicle, and the edges of what a vehicle may be.
+"""Operating points, deviations and loops have these invariants for every vehicle, including the limiting cases.
 
-| what | holds |
+| case | invariant |
 |---|---|
-| sloshing masses changed | the vehicle with its liquid frozen stays: mass, CG, inertia, stability derivatives |
+| sloshing masses changed | the vehicle with frozen liquid is the same: mass, CG, inertia, stability derivatives |
 | slosh mass zero | the same loop as without that tank |
-| no modes, no tanks, ideal actuator and gyro | a loop all the same; the rigid body has its closed form |
+| no modes, no tanks, ideal actuator and gyro | the loop of a rigid body in closed form |
 | two modes of equal frequency and shape | one mode of half the generalised mass |
-| a deviation of nothing | the node itself |
-| imposed derivatives | are exactly those that eqs 4 to 8 then give; axial load, slosh frequency and M_q stay |
-| nodes along a flight | those of the flight's own log; outside the powered flight a refusal |
+| a deviation of zero | the operating point itself |
+| imposed derivatives | are exactly the results of eqs 4 to 8; axial load, slosh frequency and M_q are unchanged |
+| operating points along a flight | equal the flight's log; outside powered flight they are rejected |
 """
 
 from __future__ import annotations
@@ -236,7 +236,7 @@ def test_zero_slosh_mass_is_no_tank() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_rigid_body_with_ideal_instruments(kind: str) -> None:
-    """In vacuum q' = M_delta delta exactly: the loop has its closed form."""
+    """In vacuum, q' = M_delta delta exactly, and the loop has its closed form."""
     node = ideal(without(node_at(40.0), modes=True, tanks=True), actuator=True, gyro=True)
     condition = dataclasses.replace(node.condition, density_kgpm3=0.0)
     held = without_engine_inertia(node.held)
@@ -275,7 +275,7 @@ def test_a_rigid_body_with_ideal_instruments(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_two_modes_of_equal_frequency(kind: str) -> None:
-    """Twice the same mode is that mode with half its generalised mass, its axial softening apart."""
+    """Two equal modes are one mode with half the generalised mass, apart from axial softening."""
     twice, once = with_modes(node_at(40.0), [0, 0]), with_modes(node_at(40.0), [0])
     mass = int(schedule.mode_column(once.held.sizes, schedule.PITCH, schedule.MODE_MASS))
     once.held.properties[:, mass] *= 0.5
@@ -286,7 +286,7 @@ def test_two_modes_of_equal_frequency(kind: str) -> None:
 
 
 def test_response_without_a_basis_of_eigenvectors() -> None:
-    """Two equal poles in a row have one eigenvector only: 1 / (s + 1)^2 must come out all the same."""
+    """The response is exact for two equal poles in series, 1 / (s + 1)^2, which have only one eigenvector."""
     a, b, c = np.array([[-1.0, 1.0], [0.0, -1.0]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
     s = 1j * np.geomspace(0.01, 100.0, 50).reshape(5, 10)
     np.testing.assert_allclose(Resolvent(a, b, c)(s)[..., 0, 0], 1.0 / (s + 1.0) ** 2, rtol=1e-14)
@@ -345,7 +345,7 @@ def test_resonances_are_named() -> None:
 
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
 def test_whether_a_command_ends_in_no_rate_depends_on_no_unit(unit: float) -> None:
-    """KSR-III's attitude acts on its motion, because gravity turns; one without that has a rate that stays."""
+    """KSR-III's attitude affects its motion because gravity turns; a vehicle without this has a rate that stays."""
     for gravity, rests in ((True, True), (False, False)):
         body = node_at(40.0).plant
         if not gravity:  # as an attitude that nothing depends on
@@ -358,7 +358,7 @@ def test_whether_a_command_ends_in_no_rate_depends_on_no_unit(unit: float) -> No
 
 
 def test_law_s_command_at_the_gimbal_s_limit() -> None:
-    """6 deg by KSR-III's file; half of it where a group moves twice as far; none for an ideal actuator."""
+    """The limit is 6 deg by KSR-III's file, half where a group moves twice as far, none for an ideal actuator."""
     node = node_at(40.0)
     assert np.degrees(node.angle_limit_rad) == pytest.approx(6.0, rel=1e-12)
     wider = dataclasses.replace(node, allocation=((2.0, 0.0),))
@@ -452,7 +452,7 @@ def test_departure_closes_and_says_where_it_comes_from() -> None:
 
 
 def test_closed_damping_follows_slosh() -> None:
-    """At 55 s the fuel hangs between CG and centre of percussion: the loop takes damping from it."""
+    """At 55 s the fuel is between CG and centre of percussion, and the loop reduces its damping."""
     loop = maxq.loop(node_at(55.0), design())
     free = {r.label: r.damping_ratio for r in loop.fixed.resonances() if r.kind == "slosh"}
     closed = closed_damping(loop)

@@ -1,6 +1,6 @@
-"""The conserved quantities of a flight and its symmetries, flown with the real integrator.
+"""Flights with the production integrator conserve momentum and energy and keep symmetries.
 
-Free multibody vehicle (modes in two planes, two tanks, deflected engine) without damping, thrust and air.
+A free multibody vehicle (modes in two planes, two tanks, deflected engine) has no damping, thrust or air.
 """
 
 from __future__ import annotations
@@ -59,9 +59,7 @@ DEFLECTED_DEG = (4.0, -3.0)
 
 
 def free_flight(step_s: float, parts: Parts = PARTS, moving: bool = False) -> Rig:
-    """A tumbling, bending, sloshing vehicle; engine at rest and deflected, or swinging through its
-    actuators.
-    """
+    """Return a tumbling, bending, sloshing vehicle with its engine deflected at rest, or moved by its actuators."""
     tree = scenario_of(parts, run={"step_s": step_s}, switches={"actuator": "full" if moving else "ideal"})
     if not moving:
         tree = with_stage(tree, actuator={"bias_deg": DEFLECTED_DEG})
@@ -112,9 +110,7 @@ def constants(made: Rig) -> Array:
 
 @pytest.fixture(scope="module")
 def drifts() -> dict[bool, list[Array]]:
-    """Return the relative change of energy, linear and angular momentum in 2 s, per step size; engine at rest or
-    moving.
-    """
+    """Return the relative change of energy and momenta in 2 s per step size, engine at rest or moving."""
     out: dict[bool, list[Array]] = {False: [], True: []}
     for moving, rows in out.items():
         for step in STEPS:
@@ -139,7 +135,7 @@ def test_energy_is_conserved_to_the_order_of_the_method(drifts: dict[bool, list[
 def test_momentum_is_conserved_to_the_order_of_the_method(
     drifts: dict[bool, list[Array]], first: int, name: str, moving: bool
 ) -> None:
-    """Also while the engine swings: what moves it are internal forces."""
+    """Momentum is conserved at the order of the method, also while internal forces swing the engine."""
     change = [float(np.linalg.norm(row[first : first + 3])) for row in drifts[moving]]
     assert change[-1] < 1e-11, name
     assert 3.7 < slope(STEPS, change) < 5.2
@@ -156,7 +152,7 @@ def test_default_step_conserves_in_a_minute() -> None:
 
 
 def test_actuators_work_is_the_energy_that_a_moving_engine_brings() -> None:
-    """dE/dt along the flight equals actuator torque times rate, at every instant of a swing."""
+    """At every instant of a swing, dE/dt along the flight equals actuator torque times rate."""
     made = free_flight(0.001, moving=True)
     vehicle = oracle_vehicle(PARTS)
     for y in flown(made, 0.1, 0.02)[1:]:
@@ -182,7 +178,10 @@ def test_constraints_hold_all_the_way() -> None:
 
 
 def test_modes_in_one_plane_only_conserve_energy_and_momentum() -> None:
-    """A vehicle that bends in pitch only, and rolls while it sloshes; energies written out here."""
+    """A vehicle that bends in pitch only conserves energy and momentum while it rolls and sloshes.
+
+    The energies are written out here.
+    """
     drift = []
     parts = replace(PARTS, yaw=(), pitch=PARTS.pitch[:1], engine_mass_kg=0.0, engine_inertia_kgm2=0.0)
     for step in STEPS:
@@ -207,10 +206,9 @@ def free_flight_one_plane(step_s: float, parts: Parts) -> Rig:
 
 
 def one_plane_constants(made: Rig, parts: Parts) -> Array:
-    """Return the energy, linear and angular momentum (in I, about its origin) of core, one pitch mode and two bobs.
+    """Return energy, linear and angular momentum (in I, about its origin) of core, one pitch mode and two bobs.
 
-    The bent core keeps its momenta (displacements of first order); a hinge is displaced along z and moves
-    with it.
+    The bent core keeps its momenta (displacements of first order); a hinge moves with its displacement along z.
     """
     y = made.y
     c_ib = rotation_from_quaternion(y[layout.Q_BI : layout.Q_BI + 4])
@@ -236,7 +234,7 @@ def one_plane_constants(made: Rig, parts: Parts) -> Array:
 
 # --- slosh damping: a fault that a peer ships is a damper that dissipates nothing, or adds energy
 def test_slosh_damping_takes_energy_and_leaves_momentum() -> None:
-    """Power of the damper is -c m L^2 |du/dt|^2 for any motion, and it acts on bob and body alike."""
+    """The damper's power is -c m L^2 |du/dt|^2 for any motion, and its forces on bob and body are opposite."""
     parts = replace(PARTS, thrust_N=1.0e5)
     rng = np.random.default_rng(7)
     plain = rig(scenario_of(parts))
@@ -269,9 +267,7 @@ def test_slosh_damping_takes_energy_and_leaves_momentum() -> None:
 
 
 def test_slosh_on_the_pad_comes_to_rest() -> None:
-    """Isotropic tanks held down: the bobs' energy falls at every sample, in pitch, yaw and whirling motion
-    alike.
-    """
+    """On the pad, the bobs' energy in isotropic tanks falls at every sample, in pitch, yaw and whirling motion."""
     tanks = tuple(replace(t, damping_ratio=0.05) for t in PARTS.tanks)
     parts = replace(SYMMETRIC, tanks=tanks, pitch=(), yaw=(), thrust_N=0.0)
     tree = scenario_of(
@@ -320,7 +316,7 @@ def in_air(step_s: float = 0.001, **sections: object) -> Rig:
 
 
 def stirred(made: Rig, both_gimbals: bool = True) -> None:
-    """Rates, engine, bending and slosh away from zero."""
+    """Give the state nonzero rates, engine angles, bending and slosh."""
     y = made.y
     y[layout.W_BI_B : layout.W_BI_B + 3] += [0.3, 0.1, -0.2]
     y[layout.ACTUATOR : layout.ACTUATOR + 6] = [0.03, 0.1, 0.025, 0.0, 0.025, 0.0]
@@ -347,7 +343,7 @@ def turned(y: Array, rotation: Array) -> Array:
 
 
 def test_turning_the_whole_set_up_changes_nothing() -> None:
-    """Round Earth without rotation, with air and thrust: only where it is differs, nothing in the body."""
+    """On a round Earth at rest, with air and thrust, a rotated set-up flies the same body motion."""
     rotation = rotation_from_quaternion(np.array([0.3, 0.5, -0.7, 0.2]))
     here, there = in_air(), in_air()
     stirred(here)
@@ -372,9 +368,9 @@ def test_shift_and_constant_speed_change_nothing_in_empty_space() -> None:
 
 
 def rolled(made: Rig, y: Array) -> Array:
-    """Return the same motion of a body of revolution with y and z axes rotated by 90 deg.
+    """Return the motion of a body of revolution with y and z axes rotated by 90 deg.
 
-    What happened in the pitch plane happens in the yaw plane: z becomes -y, y becomes z.
+    The motion in the pitch plane becomes that in the yaw plane: z becomes -y, y becomes z.
     """
     turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # old B components into new ones
     out = y.copy()
@@ -397,7 +393,7 @@ def rolled(made: Rig, y: Array) -> Array:
 
 
 def mirrored(made: Rig, y: Array) -> Array:
-    """Return the mirror image on the body's x-z plane, I mirrored on its own y axis, which is taken along."""
+    """Return the mirror image in the body's x-z plane, with I mirrored in its own y axis."""
     flip, spin = np.diag([1.0, -1.0, 1.0]), np.diag([-1.0, 1.0, -1.0])
     out = y.copy()
     for first in (layout.R_I, layout.V_I):
@@ -420,7 +416,7 @@ def mirrored(made: Rig, y: Array) -> Array:
 
 
 def same(a: Array, b: Array) -> None:
-    """Equal states, a quaternion and its negative being one attitude."""
+    """Check that two states are equal; a quaternion and its negative are one attitude."""
     q = slice(layout.Q_BI, layout.Q_BI + 4)
     a, b = a.copy(), b.copy()
     b[q] *= np.sign(a[q] @ b[q])
@@ -433,9 +429,9 @@ def same(a: Array, b: Array) -> None:
 
 @pytest.mark.parametrize(("image", "both_gimbals"), [(rolled, False), (mirrored, True)])
 def test_symmetric_vehicle_flies_symmetric(image: Callable[[Rig, Array], Array], both_gimbals: bool) -> None:
-    """Thrust, air, bending, slosh, engine and gyros from a stirred state, without commands.
+    """From a stirred state without commands, thrust, air, bending, slosh, engine and gyros keep the symmetry.
 
-    Two large gimbal angles at once do not commute, so the quarter turn is taken with the pitch gimbal alone.
+    Two large gimbal angles do not commute, so the quarter turn uses the pitch gimbal alone.
     """
     one, other = in_air(), in_air()
     stirred(one, both_gimbals)
@@ -460,7 +456,7 @@ def doublet(axis: str, sign: float) -> list[dict[str, object]]:
 
 
 def test_doublets_in_pitch_and_yaw_give_the_same_response() -> None:
-    """Positive gimbal angles give positive moments in both planes; the force is +z in pitch and -y in yaw."""
+    """Positive gimbal angles make positive moments in both planes; the force is +z in pitch and -y in yaw."""
     pitch = in_air(injection=doublet("pitch", 1.0))
     yaw = in_air(injection=doublet("yaw", 1.0))
     yaw.y[:] = rolled(yaw, pitch.y)

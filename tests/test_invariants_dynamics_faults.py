@@ -1,4 +1,4 @@
-"""Faults that real simulators have shipped, tested for by name, and what must not change a flight.
+"""Known faults of other simulators are absent, and neutral changes leave a flight bit-identical.
 
 Slosh damping and spin drift are in test_invariants_dynamics.py and test_oracle_closed_forms_motion.py.
 """
@@ -57,9 +57,7 @@ def test_expelled_mass_is_the_integral_of_mass_flow() -> None:
 
 
 def test_core_and_bobs_make_the_whole() -> None:
-    """The sloshing masses are taken out of the core once: mass and first moment, at and between
-    breakpoints.
-    """
+    """The sloshing masses are subtracted from the core once: mass and first moment agree at and between breakpoints."""
     made = powered()
     made.held.burning = 1
     tanks = [schedule.N_CONSTANT + schedule.TANK_WIDTH * k for k in range(2)]
@@ -110,7 +108,7 @@ def test_nothing_flows_once_the_engine_is_out() -> None:
 
 # --- causality
 def closed_loop(start_s: float, amplitude_Nm: float) -> Rig:
-    """A loop under a step of rate command at 0.2 s, and a torque that begins at `start_s`."""
+    """Return a loop with a step of rate command at 0.2 s, and a torque that begins at `start_s`."""
     injection = [
         {"at": "rate_command", "axis": "pitch", "kind": "step", "amplitude_degps": 2.0, "start_s": 0.2},
         {"at": "body_torque", "axis": "y", "kind": "step", "amplitude_Nm": amplitude_Nm, "start_s": start_s},
@@ -122,9 +120,7 @@ def closed_loop(start_s: float, amplitude_Nm: float) -> Rig:
 
 @pytest.mark.parametrize("start_s", [0.45, 0.4501, 0.453])
 def test_command_knows_nothing_of_the_future(start_s: float) -> None:
-    """A disturbance changes no state before it begins, no command before the next sample, no engine before
-    its delay.
-    """
+    """A disturbance changes no state before it begins, no command before a sample, no engine before the delay."""
     disturbed, calm = closed_loop(start_s, 5.0e4), closed_loop(start_s, 0.0)  # both split their steps there
     run, other = disturbed.run(), calm.run()
     sample_s = np.ceil(start_s / 0.01 + 1e-9) * 0.01  # the first sample after the disturbance has begun
@@ -153,7 +149,7 @@ def test_command_knows_nothing_of_the_future(start_s: float) -> None:
 
 
 def test_first_command_comes_after_the_first_sample_and_its_delay() -> None:
-    """Bit-true timing: sampled at 10 ms, in effect at 13 ms, whatever the integrator's step."""
+    """The first command is sampled at 10 ms and in effect at 13 ms, whatever the integrator's step."""
     for step_s in (0.001, 0.004, 0.0007):
         injection = [{"at": "gimbal_command", "axis": "yaw", "kind": "step", "amplitude_deg": 1.0}]
         made = rig(scenario_of(Parts(), injection=injection, run={"step_s": step_s}))
@@ -184,7 +180,7 @@ def test_logging_changes_no_bit() -> None:
 
 @pytest.mark.parametrize("segment_ns", [1_000_000, 7_000_000, 100_000_000, 2_000_000_000])
 def test_how_a_flight_is_cut_into_segments_changes_no_bit(segment_ns: int) -> None:
-    """Segments that are multiples of the step, as the flight loop promises; from the pad through liftoff."""
+    """Segments that are multiples of the step change no bit, from the pad through liftoff."""
     loaded = load_scenario("nominal", ["run.duration_s=6.0", "run.stop_at=[]"])
     base, _ = end_of(loaded, log=False)
     assert end_of(loaded, log=False, segment_ns=segment_ns)[0] == base
@@ -200,7 +196,7 @@ def test_same_scenario_same_bits_and_other_seed_other_bits() -> None:
 
 
 def test_packing_twice_flies_alike() -> None:
-    """A flight leaves nothing behind in what it was packed from."""
+    """A flight changes nothing in the scenario that it was packed from."""
     loaded = load_scenario("nominal", SHORT)
     first = pack_flight(loaded.scenario)
     once = FlightRun(loaded, first, log=False)
@@ -212,7 +208,7 @@ def test_packing_twice_flies_alike() -> None:
 
 
 def test_sample_period_is_kept_for_any_step() -> None:
-    """A step that does not divide the sample period takes as many samples."""
+    """A step that does not divide the sample period gives the same number of samples."""
     counts = []
     for step_s in (0.001, 0.0007, 0.003):
         tree = merged(scenario_of(Parts(), run={"step_s": step_s}), {"vehicle": {"computer": COMPUTER}})
@@ -245,10 +241,9 @@ def mass_row(time_s: float, mass_kg: float, lateral_kgm2: float) -> dict[str, fl
 
 @pytest.mark.parametrize("step_s", [0.1, 0.001])
 def test_kinks_of_the_schedule_cost_no_accuracy(step_s: float) -> None:
-    """Mass flow and inertia rate jump at a row of a linear table: the step that begins there has the new
-    ones.
+    """Mass flow and inertia rate jump at a row of a linear table, and the step that begins there uses the new values.
 
-    Jet damping in closed form, stretch by stretch: w = w0 (I / I0)^-(1 + mdot l^2 / I').
+    Jet damping in closed form per interval: w = w0 (I / I0)^-(1 + mdot l^2 / I').
     """
     rows = [mass_row(0.0, 4000.0, 5.0e4), mass_row(2.0, 3000.0, 4.5e4), mass_row(4.0, 2900.0, 3.5e4)]
     rows += [mass_row(20.0, 2000.0, 3.0e4)]
@@ -264,7 +259,7 @@ def test_kinks_of_the_schedule_cost_no_accuracy(step_s: float) -> None:
 
 
 def test_vehicle_after_burnout_is_the_one_in_its_tables() -> None:
-    """Tables may go on after the thrust has ended: the interval they are read in moves on."""
+    """Tables may extend beyond the end of thrust: their interval continues to advance after burnout."""
     rows = [mass_row(0.0, 4000.0, 5.0e4), mass_row(2.0, 3000.0, 4.0e4), mass_row(8.0, 3000.0, 4.0e4)]
     thrust = [{"time_s": 0.0, "thrust_vacuum_N": 1.0e4}, {"time_s": 2.0, "thrust_vacuum_N": 0.0}]
     flight = fly(burning_parts(rows, thrust, run={"duration_s": 6.0}))

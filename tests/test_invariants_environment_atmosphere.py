@@ -1,4 +1,4 @@
-"""The invariants of the air: hydrostatic equilibrium, gas law, continuity, the models and their limits."""
+"""The air has hydrostatic equilibrium, the gas law and continuity, and the models keep within their limits."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EDGES_m = [GEOPOTENTIAL_RADIUS_m * h / (GEOPOTENTIAL_RADIUS_m - h) for h in (11e
 
 @pytest.mark.parametrize("altitude", [-4e3, 500.0, 9e3, 15e3, 26e3, 40e3, 49e3, 60e3, 80e3])
 def test_hydrostatic_equilibrium(altitude):
-    """d(ln p)/dh = -g / (R T) with g falling as 1/r^2: an integral the module never forms."""
+    """d(ln p)/dh = -g / (R T) with g proportional to 1/r^2; the module never computes this integral."""
     step = 1.0
     above, below = air(STANDARD, NO_POOL, altitude + step)[1], air(STANDARD, NO_POOL, altitude - step)[1]
     slope = (math.log(above) - math.log(below)) / (2 * step)
@@ -37,8 +37,9 @@ def test_hydrostatic_equilibrium(altitude):
 
 @pytest.mark.parametrize("altitude", [105e3, 118e3, 140e3, 250e3, 450e3, 800e3])
 def test_each_species_is_hydrostatic_where_nothing_mixes_or_flows(altitude):
-    """Check that the weights of all species carry the sum of their pressures where diffusion rules: dp/dh = -g rho, but
-    for thermal diffusion of helium, escaping hydrogen and the transport terms.
+    """In diffusive equilibrium, the weights of all species carry the sum of their pressures: dp/dh = -g rho.
+
+    Thermal diffusion of helium, escaping hydrogen and the transport terms are excepted.
     """
     above, below = air(STANDARD, POOL, altitude + 50.0)[1], air(STANDARD, POOL, altitude - 50.0)[1]
     g = 9.80665 * (GEOPOTENTIAL_RADIUS_m / (GEOPOTENTIAL_RADIUS_m + altitude)) ** 2

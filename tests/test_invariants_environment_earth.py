@@ -1,4 +1,4 @@
-"""The invariants of every position on every Earth: round trips, orthonormal axes, singular places."""
+"""Positions on every Earth have round trips and orthonormal axes, including singular places."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_local_frame_and_geodetic_agree(earth, latitude, longitude, altitude):
 @settings(deadline=None)  # the first example compiles the kernels
 @given(x=st.floats(-1e7, 1e7), y=st.floats(-1e7, 1e7), z=st.floats(-1e7, 1e7))
 def test_ned_axes_are_a_right_handed_set_everywhere(name, x, y, z):
-    """Also in the middle of the Earth, where latitude is a convention."""
+    """The axes are right-handed everywhere, including the centre of the Earth, where latitude is a convention."""
     _, *frame = local_frame(ROWS[name], x, y, z)
     axes = np.array(ned_axes(*frame)).reshape(3, 3)
     assert axes @ axes.T == pytest.approx(np.eye(3), abs=1e-15)
@@ -85,7 +85,7 @@ def test_ned_conversions_are_the_axes():
 
 
 def test_ned_axes_point_north_east_and_down():
-    """At 0 N 90 E: north is z, east is -x, down is -y. Each would change sign with its axis."""
+    """At 0 N 90 E, north is z, east is -x and down is -y; each sign depends on its axis."""
     frame = local_frame(ROWS["wgs84"], 0.0, 6.4e6, 0.0)[1:]
     assert ned_axes(*frame) == pytest.approx((0, 0, 1, -1, 0, 0, 0, -1, 0), abs=1e-15)
 
@@ -147,7 +147,7 @@ def test_rotation_about_the_pole_changes_neither_altitude_nor_gravity(shape, ang
 
 
 def test_inertial_positions_give_inertial_axes():
-    """Check the basis of the hot path: the axes of a position in I are the axes of E turned into I."""
+    """The axes of a position in I are the axes of E turned into I, also in the fast path."""
     earth = ROWS["wgs84"]
     cos, sin = earth_rotation(earth, 5000.0)
     in_e = (-3e6, 4e6, 4e6)

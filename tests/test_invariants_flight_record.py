@@ -1,4 +1,4 @@
-"""The invariants of flights that are cut into segments, examined and logged."""
+"""Flights that are cut into segments, inspected and logged keep these invariants."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ FALLS = (
 
 @pytest.mark.parametrize("end", [("run.duration_s=0.02",), ("run.duration_s=0.0235",), FALLS])
 def test_rows_rise_in_time_and_the_last_one_is_the_end(end: tuple[str, ...]) -> None:
-    """Check an end on a row's time and between two, by duration and by an event."""
+    """Rows rise in time and the last one is the end, on a row's time or between two, by duration or by an event."""
     flight = fly(load_scenario("nominal", ["run.duration_s=2", *end, "log.fast_hz=100", "log.slow_hz=50"]))
     assert flight.outcome == ("impact" if end is FALLS else "duration")
     assert end is not FALLS or 0.03 < flight.end_s < 0.04
@@ -77,7 +77,7 @@ def test_looking_changes_nothing() -> None:
 
 
 def test_what_is_seen_is_what_is_logged() -> None:
-    """At 1.005 s, when the computer does nothing: `present` sees an instant before what is due then."""
+    """At 1.005 s the computer does nothing; `present` gives the instant before the processing due then."""
     run = FlightRun(loaded("log.slow_hz=1000.0"))
     while run.now_s < 1.005:
         run.fly_segment(5_000_000)

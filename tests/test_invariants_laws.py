@@ -1,12 +1,12 @@
-"""A law that the package has never seen goes through loops, margins and the optimiser: nothing there assumes PD.
+"""A law that the package does not contain passes through loops, margins and the optimiser.
 
-| what | how |
+| part | check |
 |---|---|
 | loop | response equals that of its state matrix; closed poles are zeros of 1 + L and agree with encirclements |
-| a law's name | the registry answers for it, and refuses others |
+| law name | the registry finds it and rejects others |
 | gradients, curvature | differences of values, of gradients |
-| optimum | conditions of optimality, and the limits on the loop built again |
-| objectives | the names that a case may give are those of the table |
+| optimum | conditions of optimality, and the limits on a loop built again |
+| objectives | the names allowed in a case are those of the table |
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def case_of(kind: str):
 
 @cache
 def plants_of(kind: str):
-    """Without bending modes, which this law has no filter for."""
+    """Return plants without bending modes, for which this law has no filter."""
     case = case_of(kind).case
     return make_plants([make_plant(without(node_at(t), modes=True), case) for t in case.nodes_s])
 

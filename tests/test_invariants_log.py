@@ -1,9 +1,9 @@
-"""The invariants of a log under all circumstances.
+"""A log keeps these properties under all circumstances.
 
-- What is read is what was written, bit by bit, however the writing was divided into blocks.
+- The data read are the data written, bit for bit, for any division into blocks.
 - Equal input gives equal bytes.
-- A file cut at any byte gives every whole chunk; a damaged chunk costs that chunk only; both are noted.
-- No bytes whatsoever make the reader raise anything but LogError.
+- A file cut at any byte gives every whole chunk; a damaged chunk costs only that chunk; both are noted.
+- No bytes make the reader raise an exception other than LogError.
 """
 
 from __future__ import annotations

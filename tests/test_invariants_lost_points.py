@@ -1,15 +1,15 @@
-"""An operating point whose loop a search leaves unstable is found again, and no way out contradicts the verdict.
+"""A search recovers an operating point with an unstable loop, and no proposed change contradicts the verdict.
 
-KSR-III at three operating points with free gains; the optimum has a least |1 + L| of 0.602. From gains far off at one
-point a descent ends with that loop unstable, at 0.521, and with every limit met as if it were stable.
+KSR-III at three operating points with free gains has an optimum with a least |1 + L| of 0.602. From gains far off at
+one point, a descent ends with that loop unstable at 0.521, and every limit appears met.
 
-| what | how |
+| case | expected |
 |---|---|
 | one search, one start with a lost point | ends at the optimum |
 | gains of lost points | are interpolated between those of the others |
-| a search that ends unstable or short of the limits | goes on for the limits alone, from other starts |
+| a search that ends unstable or misses limits | continues for the limits alone, from other starts |
 | a round of a robust search | likewise, from the design of the round before |
-| a trial that is unstable by its poles | does not meet all limits |
+| a trial with unstable poles | does not meet all limits |
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def lost_start(p: Any) -> Array:
 
 @pytest.fixture
 def unmended(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave lost points to what comes after a search."""
+    """Disable the recovery of lost points within a search."""
     monkeypatch.setattr(search, "_mended", lambda problem, at: None)
 
 

@@ -1,9 +1,9 @@
-"""The margin budget adds up, whatever the order, the kind of loop, the node and the frequency.
+"""The margin budget adds up for any order, kind of loop, operating point and frequency.
 
-| what | expected |
+| case | expected |
 |---|---|
-| sum of all shares | L's decibels and degrees to 1e-9, at every node, kind and crossing |
-| shares of series parts | the part's own response; a delay of more than 180 deg is unwrapped |
+| sum of all shares | L in decibels and degrees to 1e-9, at every operating point, kind and crossing |
+| shares of parts in series | the response of the part; a delay of more than 180 deg is unwrapped |
 | build-up steps in another order | other shares, the same sum |
 | frozen liquid | the stability derivatives of the whole |
 | a vehicle without liquid, modes, lift, engine inertia | a share of zero |

@@ -1,4 +1,4 @@
-"""Memory that kernels share: blocks of one array lie behind each other, as wide as their comments say."""
+"""The blocks of an array that kernels share are consecutive, and as wide as their comments state."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from maxq.sim.vehicle import schedule
 
 
 def blocks(module: ModuleType, first: str, last: str) -> list[tuple[str, int, int]]:
-    """Name, beginning and width of the constants from `first` to `last`: `NAME = ...  # what it is, unit (width)`."""
+    """Return name, start and width of constants from `first` to `last`: `NAME = ... # description, unit (width)`."""
     lines, out = inspect.getsource(module).split("\n"), []
     for node in ast.parse("\n".join(lines)).body:
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):

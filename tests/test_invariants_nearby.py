@@ -1,4 +1,4 @@
-"""Local frame and air by series about a place: as the exact formulas have them, and used only where they hold."""
+"""Local frame and air by series about a place equal the exact formulas, and are used only within their range."""
 
 import math
 
@@ -61,7 +61,7 @@ def test_a_neighbour_is_where_the_exact_formulas_have_it(earth, distance_m):
 
 
 def test_the_series_is_used_at_all():
-    """Else the test before would compare the exact formulas with themselves."""
+    """The series is used, so that the test above does not compare the exact formulas with themselves."""
     place = np.array(earth_position(WGS84, 0.6, 2.2, 5000.0))
     anchor = anchored(WGS84, AIR, place)
     there = place + np.array([3.0, 4.0, 5.0])

@@ -1,12 +1,12 @@
-"""The invariants of every optimum for any model of the loop: the limits, the conditions of optimality, stability.
+"""Every optimum meets its limits and the conditions of optimality, for any model of the loop.
 
-| what | how |
+| case | check |
 |---|---|
-| loop sampled exactly, equations as printed | limits hold on the loop built again, by design/margins |
-| conditions of optimality | rows' multipliers and bounds', put together here, cancel the gradients |
-| multipliers | are what the objective changes by when a limit is moved |
-| several starts | end at the same design, and the certificate says how many |
-| threads | are the linear-algebra library's own afterwards |
+| loop sampled exactly, equations as printed | limits hold on a loop built again, by design/margins |
+| conditions of optimality | multipliers of rows and bounds, combined here, cancel the gradients |
+| multipliers | equal the change of the objective when a limit moves |
+| several starts | end at the same design, and the certificate gives their number |
+| threads | the linear-algebra library's setting is restored |
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ NODES = "nodes_s=[5.0, 30.0, 55.0]"
 
 
 def check_limits(s, plants, rigid_hz: bool = True) -> None:
-    """Limits of a design by the loop's own margins, not the optimiser's curves."""
+    """Check the limits of a design by the loop's margins, not by the optimiser's curves."""
     limits = s.case.limits
     law = kit.designed(s)
     gains = law.pitch
@@ -94,7 +94,7 @@ LATE = ("nodes_s=[45.0, 50.0, 55.0]", "filter.structure=F4", "search.starts=3", 
 
 
 def missed_between(s, loaded) -> float:
-    """Return by how many dB (0.2 dB/deg) the worst instant of each 0.1 s misses the margins, by design/margins."""
+    """Return the worst violation of the margins in dB (0.2 dB/deg) over instants every 0.1 s, by design/margins."""
     nodes = maxq.nodes(loaded.scenario, np.arange(45.0, 55.05, 0.1).round(3))
     found = judge(nodes, make_design(loaded, s), "pade")
     assert all(j.margins.stable for j in found)
@@ -104,8 +104,10 @@ def missed_between(s, loaded) -> float:
 
 @pytest.mark.long
 def test_limits_hold_between_the_nodes_where_they_are_asked_to() -> None:
-    """The peak of LOX slosh passes 0 dB between 50 and 55 s: 30 deg at both, 24 between. Likewise with gains over mass,
-    free at the nodes of the case."""
+    """Limits hold between operating points where requested, also with gains over mass.
+
+    The peak of LOX slosh passes 0 dB between 50 and 55 s: 30 deg at both points, 24 deg between them.
+    """
     at_nodes, loaded = kit.case(*LATE), kit.case(*LATE, "between_nodes='hold'")
     plain, held = solve(at_nodes), solve(loaded)
     over = kit.case(*LATE, "between_nodes='hold'", "gains.over='mass_kg'", "gains.schedule='free'")
@@ -127,7 +129,7 @@ def test_limits_hold_between_the_nodes_where_they_are_asked_to() -> None:
 
 @pytest.mark.slow
 def test_an_unstable_body_is_stabilised_without_limits_that_ask_for_gain() -> None:
-    """The centre of pressure 3 m further forward: M_alpha > 0, so that the vehicle is unstable without feedback."""
+    """With the centre of pressure 3 m further forward, M_alpha > 0: the vehicle is unstable without feedback."""
     loaded = kit.case(NODES, "filter.structure=F3", "search.starts=3", "search.leaps=0", "limits.without=['rigid_hz']")
     nodes = [p.node.with_(centre_of_pressure_m=-3.0) for p in kit.plants(NODES).each]
     plants = make_plants([make_plant(node, loaded.case) for node in nodes])
@@ -139,7 +141,7 @@ def test_an_unstable_body_is_stabilised_without_limits_that_ask_for_gain() -> No
 
 @pytest.mark.slow
 def test_a_search_begins_from_the_design_that_its_case_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where the law's own starts lead nowhere; a design that does not fit is refused."""
+    """A search starts from the design named in its case, also where the law's starts fail; a misfit is rejected."""
     given = (NODES, "filter.structure=F2", "search.leaps=0")
     best = solve(kit.case(*given, "search.starts=3"))
     (tmp_path / "design.toml").write_text(design_text(make_design(kit.case(*given), best)))
@@ -163,7 +165,7 @@ def test_limit_that_no_stable_loop_meets_is_named() -> None:
 
 
 def test_rigid_limits_over_time(tmp_path: Path) -> None:
-    """Each node is held to its own; they are written with the design, and another design is judged by them."""
+    """Each operating point has its own limits; they are written with the design and applied to another design."""
     given = (NODES, "filter.structure=F2", "search.starts=2", "search.leaps=0", "gains.schedule=free")
     hz, zeta = "limits.rigid_hz={time_s=[10.0,50.0],value=[0.5,0.7]}", "limits.rigid_zeta={time_s=[5.0],value=[0.8]}"
     loaded, plants = kit.case(*given, hz, zeta), kit.plants(NODES)
@@ -228,7 +230,7 @@ def test_a_dispersed_vehicle_is_made_again_from_its_label() -> None:
 
 @pytest.mark.long
 def test_no_corner_is_nearer_to_minus_one_than_the_plant_that_the_search_finds() -> None:
-    """Compare with all corners of six deviations and with 200 plants inside, each measured as a single loop."""
+    """All corners of six deviations and 200 plants inside are no nearer to -1 than the plant found, as single loops."""
     none = dict.fromkeys(
         (
             "slosh_mass",
@@ -270,7 +272,7 @@ def test_no_corner_is_nearer_to_minus_one_than_the_plant_that_the_search_finds()
 
 
 def test_corners_follow_correlations() -> None:
-    """Masses of two tanks that go together by R deviate by sqrt(R) times the ends (SciPy's root)."""
+    """Masses of two tanks with correlation R deviate by sqrt(R) times the ends (SciPy's root)."""
     node = kit.all_nodes().each[3].node
     pair = Correlated(of=("slosh_mass.0", "slosh_mass.1"), coefficient=0.6)
     ranges = ranges_of_case(correlated=(pair,))
@@ -287,9 +289,7 @@ def test_corners_follow_correlations() -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_search_of_the_worst_corner(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Check that the worst end of all is found where each place counts alone, and on a random landscape no less than
-    the start.
-    """
+    """The search finds the worst corner of a separable function, and on a random landscape no less than its start."""
     node, rng = kit.all_nodes().each[3].node, np.random.default_rng(seed)
     ranges = ranges_of_case()
     places = len(deviations_of(ranges.campaign, node).places)
@@ -310,7 +310,10 @@ def test_search_of_the_worst_corner(seed: int, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_an_instant_that_is_worse_becomes_a_node_with_its_worst_plant(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The search of the worst is scripted, the optimisation left out: what is asked is who joins."""
+    """An instant that is worse than the operating points joins them with its worst plant.
+
+    The search of the worst is scripted and the optimisation omitted.
+    """
     loaded = kit.case("nodes_s=[30.0, 40.0]", "between_nodes='hold'", name="ksr3-robust")
     loaded = dataclasses.replace(loaded, case=loaded.case.model_copy(update={"loop": "pade"}))
     nominal = nominal_plants(loaded)
@@ -352,7 +355,7 @@ def test_an_instant_that_is_worse_becomes_a_node_with_its_worst_plant(monkeypatc
 
 @dataclasses.dataclass(frozen=True)
 class Unsearched:
-    """In place of what a search of the best design has found."""
+    """A placeholder for the result of a search for the best design."""
 
     interrupted: bool = False
 
@@ -364,7 +367,7 @@ class Ended:
 
 @pytest.mark.long
 def test_dispersed_plants_hold_between_the_nodes_where_they_are_asked_to() -> None:
-    """Check the least |1 + L| by design/margins every 0.4 s, for the nominal vehicle and twelve random corners."""
+    """The least |1 + L| holds every 0.4 s for the nominal vehicle and twelve random corners, by design/margins."""
     few = ("bending_slope", "slosh_damping", "actuator_frequency", "delay_s", "thrust", "normal_force")
     none = [f"robust.{name}=0.0" for name in (*few, "centre_of_pressure_m", "inertia")]
     changes = ("nodes_s=[45.0, 50.0, 55.0]", "search.starts=2", "search.leaps=0", *none)
@@ -377,7 +380,7 @@ def test_dispersed_plants_hold_between_the_nodes_where_they_are_asked_to() -> No
     vehicles = [deviated(node, ranges, ends) for node in nodes for ends in corners]
 
     def missing(s) -> float:
-        """Return the missing part of the promised sum."""
+        """Return the shortfall of the promised sum."""
         judged = judge(vehicles, make_design(loaded, s), "sampled")
         return 10.0 ** (-s.objective_db / 20.0) - min(j.margins.modulus if j.margins.stable else 0.0 for j in judged)
 
@@ -390,7 +393,7 @@ def test_dispersed_plants_hold_between_the_nodes_where_they_are_asked_to() -> No
 
 @pytest.mark.slow
 def test_exact_and_sampled_optima_are_alike_but_not_the_same() -> None:
-    """The sampled loop leaves out what aliases: a little at mode 1."""
+    """The sampled loop without aliasing has nearly the same optimum; it differs slightly at mode 1."""
     peaks = []
     for loop in ("sampled", "exact"):
         loaded = kit.case(NODES, "filter.structure=F3", "search.starts=3", "search.leaps=2", f"loop={loop}")
@@ -400,7 +403,10 @@ def test_exact_and_sampled_optima_are_alike_but_not_the_same() -> None:
 
 @pytest.mark.long
 def test_the_paper_s_own_equations_make_a_design_where_they_can_be_stabilised() -> None:
-    """As printed the gyro hardly feels the modes: -57 dB at three nodes. Over all eleven no loop is even stable."""
+    """With the printed equations the gyro hardly measures the modes: -57 dB at three operating points.
+
+    At all eleven, no loop is stable.
+    """
     few = (NODES, "filter.structure=F4", "search.starts=4", "search.leaps=1", "errata=paper")
     loaded = kit.case(*few)
     plants = nominal_plants(loaded)
@@ -444,7 +450,7 @@ def test_a_point_at_which_no_row_leads_is_certified_by_nothing() -> None:
 
 @pytest.mark.long
 def test_multipliers_are_what_a_limit_costs() -> None:
-    """The gain margin moved by 0.02 dB either way: the optimum changes as the certificate says."""
+    """The optimum changes as the certificate states when the gain margin moves by 0.02 dB either way."""
     change = ("filter.structure=F2", "gains.schedule=linear", "search.starts=2", "search.leaps=2")
     peaks = [
         solve(kit.case(*change, f"limits.filter_gain_at_infinity={gain}"), kit.all_nodes()).objective_db
@@ -467,14 +473,18 @@ def test_multipliers_are_what_a_limit_costs() -> None:
     ("structure", "known_db"), [("F3", -10.383), pytest.param("F6", -25.253, marks=pytest.mark.long)]
 )
 def test_one_solve_finds_the_best_that_is_known(structure: str, known_db: float) -> None:
-    """Solve with free gains. All starts of F3 end at -10.15 dB or worse; leaps find -10.38, and return to it."""
+    """A single solve with free gains finds the best known design.
+
+    All starts of F3 end at -10.15 dB or worse; basin hopping finds -10.38 dB and returns to it.
+    """
     s = kit.solution(f"filter.structure={structure}", "gains.schedule=free")
     assert s.objective_db < known_db + 0.05
     c = s.certificate
     assert c.leaps_back >= c.leaps // 2 > 0
     near = sum(db < s.objective_db + 0.05 for db in c.ends_db)
     assert c.statement() == (
-        f"{near} of {c.starts} starts and {c.leaps_back} of {c.leaps} leaps from the best ended within 0.05 dB of it"
+        f"{near} of {c.starts} starts and {c.leaps_back} of {c.leaps} perturbations of the best"
+        " ended within 0.05 dB of it"
     )
 
 
@@ -488,7 +498,7 @@ def test_threads_are_put_back() -> None:
 
 
 def test_extremes_lie_inside_a_plants_mesh() -> None:
-    """Two plants' meshes one behind the other: neither end is an extreme, wherever the other mesh goes on."""
+    """The ends of consecutive meshes of two plants are not extremes, whatever the other mesh contains."""
     curves: Any = SimpleNamespace(start=np.array([0, 5, 10]), x=np.arange(10.0))
     value = np.array([3.0, 1.0, 2.0, 0.5, 0.4, 9.0, 1.0, 3.0, 2.0, 1.0])
     k, at = _extremes(curves, value, True, np.ones(10, bool))

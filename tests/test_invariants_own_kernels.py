@@ -1,4 +1,4 @@
-"""Kernels that are compiled for one vehicle's sizes fly the same bits as those for all vehicles."""
+"""Kernels compiled for the sizes of one vehicle fly the same bits as those for all vehicles."""
 
 import ast
 import dataclasses
@@ -75,7 +75,7 @@ def test_modes_are_grouped_by_four():
 @pytest.mark.parametrize("unusual", [f.name for f in dataclasses.fields(Sizes) if f.default is not dataclasses.MISSING])
 @pytest.mark.parametrize(("modes", "of"), [((3, 2), usual_counts), ((0, 1), usual_counts), ((0, 0), rigid_counts)])
 def test_counts_are_usual_only_where_the_constants_are_theirs(modes, of, unusual):
-    """Code for usual counts ignores what else a vehicle has."""
+    """Code for usual counts is used only where its constants hold, since it ignores other components."""
     sizes = Sizes(*modes, 4, 5)
     usual = counts(pack([sizes])[0])
     assert are_usual(usual)
@@ -107,7 +107,7 @@ for scenario in sys.argv[1:]:
 
 @pytest.mark.slow
 def test_a_second_vehicle_compiles_nothing():
-    """Another structure asks for no machine code, kept or not: other modes, tanks, stages, a TVC load, many engines."""
+    """A second vehicle with other modes, tanks, stages, a TVC load or many engines compiles nothing."""
     petrel = str(petrelkit.folder() / "scenario.toml")
     scenarios = ["nominal", "checkcases/nesc-01", "checkcases/nesc-17", "ksr3-ringed", "tvc-load", petrel]
     command = [sys.executable, "-c", VEHICLES, *scenarios]
@@ -133,7 +133,7 @@ def test_uncompiled_source_reads_the_record():
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="of compiled code")
 def test_compiled_code_has_the_sizes_as_constants():
-    """After a change of the memory, code for one vehicle still computes with the sizes in the type."""
+    """After a change of the memory layout, code for one vehicle computes with the sizes in its type."""
     numbers = tuple(range(1, len(Counts._fields)))
     plain = pack([Sizes(*numbers)])
     own = with_constants(plain)
@@ -148,7 +148,7 @@ def test_compiled_code_has_the_sizes_as_constants():
 
 
 def test_the_cache_follows_the_sources_wherever_they_lie(tmp_path, monkeypatch):
-    """A checkout below a folder named like one of sim's: its kernel sources count all the same."""
+    """In a checkout below a folder named like one of sim's folders, the kernel sources still determine the cache."""
     here = tmp_path / "run" / "control" / "kernel"
     here.mkdir(parents=True)
     monkeypatch.setattr(kept_code, "__file__", str(here / "kept_code.py"))
@@ -166,7 +166,7 @@ DECORATORS = ROUTINES | {"kernel", "formula", "entry", "from_python"}
 
 
 def modules_used(path: Path) -> set[str]:
-    """Return the modules of maxq from which the compiled functions of a file, or its constants, take a name."""
+    """Return the modules of maxq from which the compiled functions of a file, or its constants, use a name."""
     tree, origin = ast.parse(path.read_text()), dict[str, str]()
     for node in tree.body:
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("maxq."):
@@ -188,7 +188,10 @@ def modules_used(path: Path) -> set[str]:
 
 @pytest.mark.slow
 def test_all_that_compiled_code_is_made_of_counts_for_its_cache():
-    """By the syntax trees of all layers: files with compiled functions, and modules whose names these use."""
+    """The cache key covers all files with compiled functions and all modules whose names these use.
+
+    The syntax trees of all layers are searched.
+    """
     layers = Path(kept_code.__file__).resolve().parents[2]
     sources = {path.relative_to(layers) for path in kept_code._source_files()}
     files = [
@@ -217,7 +220,7 @@ with adapted_numba:
 
 
 def test_names_in_machine_code_tell_layouts_whatever_a_process_has_met_before():
-    """The loader takes equal names in kept entries of several processes for one function."""
+    """Machine code has names that identify the layout, since the loader identifies functions of equal names."""
     told = {}
     for order in (("short", "long"), ("long", "short")):
         program = MANGLED.format(fields=[LAYOUTS[name] for name in order])

@@ -1,7 +1,7 @@
-"""The packed form of a scenario does not depend on the processor: a log can be flown again on another machine.
+"""The packed form of a scenario is independent of the processor, so a log can be flown again on another machine.
 
-OpenBLAS and NumPy choose other code on other processors, which rounds in another way. Both can be told to take an
-older processor's.
+OpenBLAS and NumPy choose other code on other processors, with other rounding. Both can be set to use the code of an
+older processor.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Decimation lies about nothing: samples stay samples, extremes stay, gaps stay."""
+"""Decimation keeps samples, extremes and gaps."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_without_interval_the_line_is_the_same(values: np.ndarray) -> None:
 
 @pytest.mark.parametrize("hertz", [9.0, 27.0, 45.0, 49.9, 333.0])
 def test_an_oscillation_keeps_its_amplitude(hertz: float) -> None:
-    """At every one of these the mean of 20 ms, or each 20th sample, would show something else."""
+    """The amplitude survives at frequencies where the mean of 20 ms, or every 20th sample, would change it."""
     times = np.arange(20_000) * MS
     values = 0.05 * np.sin(2.0 * np.pi * hertz * times / 1e9)
     kept = extremes(times, values, 20 * MS)
@@ -64,7 +64,10 @@ def test_an_oscillation_keeps_its_amplitude(hertz: float) -> None:
 
 
 def test_a_viewer_that_merges_a_number_of_samples_gets_them_at_an_even_rate() -> None:
-    """Rerun drew thrust over weight at 0.8 after burnout: it merged the two samples that followed."""
+    """A viewer that merges a number of samples receives them at an even rate.
+
+    Rerun drew thrust over weight at 0.8 after burnout, because it merged the two samples that followed.
+    """
     times = np.arange(20_000) * MS
     values = np.where(times < 5_000 * MS, 4.0 - times / (5_000 * MS), 0.0)
     assert np.diff(times[extremes(times, values, 20 * MS)]).max() == 14_999 * MS

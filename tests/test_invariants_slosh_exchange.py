@@ -1,10 +1,10 @@
-"""Liquid that goes over between bobs and core, in empty space: what must be constant, and what is lost.
+"""Liquid that moves between bobs and core in empty space conserves momentum and loses only the expected energy.
 
-| what | expected |
+| quantity | expected |
 |---|---|
 | linear momentum, angular momentum about the common CG; one bob shrinks, one grows | constant to 1e-8 |
-| the same without the switch | wanders by more than a hundredth: the test can fail |
-| energy | falls by the impact of what arrives (closed form) |
+| the same without the switch | changes by more than a hundredth, so the test can fail |
+| energy | falls by the impact of the arriving liquid (closed form) |
 | linear model | equals the linearised simulator to 1e-8 |
 """
 
@@ -45,7 +45,7 @@ PARTS = Parts(
 
 
 def vehicle_of(time_s: float, parts: Parts = PARTS) -> Parts:
-    """The parts at a time: what a bob loses is in the core, where the bob rests."""
+    """Return the parts at a time: liquid lost by a bob is in the core, at the bob's rest position."""
     first, second = parts.tanks
     masses = [float(PchipInterpolator(TIMES_S, m)(time_s)) for m in (SHRINKING, GROWING)]
     x, _, _ = parts.core_cg
@@ -104,7 +104,7 @@ def constants(made: Rig, time_s: float) -> tuple[Array, Array]:
 
 
 def wander(step_s: float, exchange: bool) -> tuple[float, float]:
-    """Return the largest change of linear and angular momentum in the flight, relative."""
+    """Return the largest relative change of linear and angular momentum in the flight."""
     made = stirred(step_s, exchange)
     run = made.run()
     linear, angular = constants(made, 0.0)
@@ -119,7 +119,7 @@ def wander(step_s: float, exchange: bool) -> tuple[float, float]:
 
 @pytest.mark.slow
 def test_momentum_is_constant_with_the_exchange_and_not_without() -> None:
-    """Better than 1e-8 at 1 ms: what is left is how core and bobs are joined between the rows of their tables."""
+    """With the exchange, momentum is constant to 1e-8 at 1 ms; the rest is interpolation between table rows."""
     linear, angular = wander(0.001, True)
     assert linear < 1e-8
     assert angular < 1e-8
@@ -129,9 +129,9 @@ def test_momentum_is_constant_with_the_exchange_and_not_without() -> None:
 
 
 def test_energy_falls_by_the_impact_of_what_arrives() -> None:
-    """Perfectly inelastic impact where the bob is; and the work of the rotation as liquid settles where it rests.
+    """Energy falls by the perfectly inelastic impact at the bob, and by the work of rotation as liquid settles at rest.
 
-    Against a difference quotient of the energy along the derivative, masses included.
+    The reference is a difference quotient of the energy along the derivative, masses included.
     """
     parts, time_s, h = replace(PARTS, pitch=(), yaw=()), 0.8, 1e-5
     made = stirred(0.001, parts=parts)

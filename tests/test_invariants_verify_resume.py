@@ -1,9 +1,9 @@
-"""Results of `simverify` are not computed again: after a kill, after Ctrl-C, for a design that has changed.
+"""`simverify` does not compute results again after a kill, after Ctrl-C, or for a changed design.
 
-| what | expected |
+| case | expected |
 |---|---|
-| killed with SIGKILL, or interrupted, part-way | the same command recalls every part and finds what one go finds |
-| one changed gain | certificate and margins again at its node alone; flights and what flies the whole ascent again |
+| killed with SIGKILL, or interrupted, part-way | the same command recalls every part and gives the same result |
+| one changed gain | certificate and margins again at its operating point alone; flights and ascents again |
 | the same design under another name | everything recalled |
 """
 
@@ -52,7 +52,7 @@ PARTS = 2 + 1 + 3 + 1 + 2 + 1  # flights; instants; margins; slosh; certificate;
 
 @pytest.fixture(scope="module")
 def in_one_go(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """Return what is found in one go and, as a signal without effect came when all was stored, found again."""
+    """Return the result of one uninterrupted run and, after a signal when all was stored, of a second run."""
     return _killed(tmp_path_factory.mktemp("whole"), f"{PARTS}:SIGCONT")
 
 
@@ -81,7 +81,7 @@ def test_second_time_everything_is_recalled(in_one_go: dict[str, Any]) -> None:
 
 @pytest.mark.long
 def test_an_interrupted_verification_goes_on(tmp_path: Path, in_one_go: dict[str, Any]) -> None:
-    """Killed early, interrupted, and killed late, one after the other in the same folder."""
+    """A verification killed early, interrupted, and killed late in the same folder completes."""
     told = _killed(tmp_path, "2:SIGKILL", "4:SIGINT", "8:SIGKILL")
     assert [killed["code"] for killed in told["killed"]] == [-9, 130, -9]
     for parts, killed in zip((2, 4, 8), told["killed"], strict=True):

@@ -1,11 +1,11 @@
-"""Adaptive augmenting control against its equations written again, closed forms and flights.
+"""Adaptive augmenting control equals its equations written again, closed forms and flights.
 
-| what | oracle |
+| quantity | oracle |
 |---|---|
 | command and total gain, sample by sample | plain Python on SciPy's zero-order hold, Butterworth filter and `lfilter` |
 | steady total gain under a constant error, under an oscillation; leakage | closed forms |
 | margins at the limits of the total gain | the loop of a design whose gains are scaled |
-| flights | a loop too weak is lost and recovers; one that bends too much does not swing on |
+| flights | a weak loop recovers; a loop unstable in bending stops oscillating |
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ GAINS = GainSchedule([0.0, 10.0], [1.2, 0.8], [0.5, 0.4])
 
 
 def flown(turns: Array, commanded: Array, **changes: Any) -> tuple[Array, Array]:
-    """Commands and total gains, (samples, 2), of the computer for angle increments and commanded rates (samples, 3)."""
+    """Return commands and total gains, (samples, 2), for angle increments and commanded rates (samples, 3)."""
     pool = Pool()
     integral = changes.get("with_integral", False)
     gains = dataclasses.replace(GAINS, k_i_ps=[0.3, 0.1]) if integral else GAINS
@@ -71,7 +71,7 @@ def flown(turns: Array, commanded: Array, **changes: Any) -> tuple[Array, Array]
 
 
 def expected(turns: Array, commanded: Array, law: Array, integral: bool) -> tuple[Array, Array]:
-    """Return the result of the published equations for one axis; `law` (samples,) is the command at total gain 1."""
+    """Return the published equations for one axis; `law` (samples,) is the command at total gain 1."""
     w, zeta = 2.0 * np.pi * GIVEN["reference_hz"], GIVEN["reference_zeta"]
     model = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
     driven = np.array([[-1.0], [2.0 * zeta * w if integral else 0.0]])
@@ -117,9 +117,10 @@ def test_total_gain_and_command_are_those_of_the_published_equations(integral: b
 
 
 def test_steady_gains_are_the_closed_forms() -> None:
-    """Check the steady gain for a constant e_r: (1 - k_a / k_max) a e_r^2 = beta (k_T - 1); for a command that swings
-    with amplitude A: alpha k_a A^2 / 2 = beta (1 - k_T), A of the command with that k_T; and without both: (1 - beta
-    T)^n.
+    """Steady gains are the closed forms.
+
+    For a constant e_r: (1 - k_a / k_max) a e_r^2 = beta (k_T - 1). For a command that oscillates with amplitude A:
+    alpha k_a A^2 / 2 = beta (1 - k_T), with A of the command with that k_T. Without both: (1 - beta T)^n.
     """
     n, beta, still = 400, 4.0, np.zeros((400, 3))
     fast = {"leakage_ps": beta, "low_pass_hz": 3.0}
@@ -195,8 +196,10 @@ def largest(flight: Flight, name: str) -> float:
 
 @pytest.mark.long
 def test_flights_of_both_vehicles(tmp_path: Path) -> None:
-    """KSR-III: nominal the gain stays; a loop unstable in bending swings on without it. petrel, unstable: a loop too
-    weak for its aerodynamics is lost without it, in limit wind."""
+    """On KSR-III the nominal gain stays, and a loop unstable in bending oscillates without adaptation.
+
+    petrel is unstable: without adaptation, a loop too weak for its aerodynamics is lost in limit wind.
+    """
     powered = ["run.duration_s=59", "requirement="]
     nominal = load_scenario("nominal", [*powered, adaptive(0.003, 4.0)])
     flight = fly(nominal)

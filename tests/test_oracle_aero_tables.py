@@ -1,4 +1,4 @@
-"""Coefficients over angle of attack against SciPy's interpolation and rotation matrices, an independent code."""
+"""Coefficients over angle of attack equal SciPy's interpolation with rotation matrices."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_kernel_reads_what_is_packed(smooth: bool) -> None:
 
 
 def test_smooth_grid_is_pchip_along_its_lines() -> None:
-    """Between two nodes only the variable that changes counts; mirrored and periodic ends have data beyond them."""
+    """Between two nodes only the changing variable counts; mirrored and periodic ends have data beyond them."""
     made, mach = grids(True), np.linspace(0.0, 1.6, 33)
     ours = [made((m, X[1][2], X[2][1])) for m in mach]
     np.testing.assert_allclose(ours, PchipInterpolator(X[0], VALUES[:, 2, 1])(mach), rtol=1e-12, atol=1e-12)
@@ -80,7 +80,7 @@ def test_smooth_grid_is_pchip_along_its_lines() -> None:
 
 
 def test_smooth_grid_is_straight_between_two_nodes() -> None:
-    """Two points have one line, in any of the variables; the third node of the other axes changes nothing."""
+    """Two points in any variable define a line; the third node of the other axes changes nothing."""
     for axis in range(3):
         breaks = [b[:2] if k == axis else b[:1] for k, b in enumerate(X)]
         values = VALUES[tuple(slice(len(b)) for b in breaks)]
@@ -119,7 +119,7 @@ def test_derivatives_are_those_of_the_interpolant(smooth: bool) -> None:
 
 
 def test_derivatives_of_products_are_reproduced() -> None:
-    """x y z is trilinear: both methods give it exactly."""
+    """x y z is trilinear, and both methods reproduce it exactly."""
     product = (X[0][:, None, None] * X[1][None, :, None] * X[2][None, None, :])[..., None]
     for smooth in (False, True):
         made = fit_grid(X, product, smooth, ("open",) * 3, np.ones(1))
@@ -129,7 +129,7 @@ def test_derivatives_of_products_are_reproduced() -> None:
 
 # --- forces and moments
 def looked_up(columns: Tree, axes: list[str], point: list[float]) -> dict[str, float]:
-    """Multilinear interpolation by SciPy of a long-format table; a roll angle is carried round by hand."""
+    """Return SciPy's multilinear interpolation of a long-format table; roll angles are wrapped by hand."""
     columns = {name: np.asarray(values, float) for name, values in columns.items()}
     if "roll_deg" in axes:
         k, first = axes.index("roll_deg"), columns["roll_deg"].min()
@@ -146,7 +146,7 @@ def looked_up(columns: Tree, axes: list[str], point: list[float]) -> dict[str, f
 
 
 def expected(columns: Tree, flow: Array, mach: float, factors: tuple[float, float] = (1.0, 1.0)) -> tuple[Array, Array]:
-    """Return the force and moment about the reference in B, static part. `factors`: axial, normal."""
+    """Return the static force and moment about the reference, in B. `factors`: axial, normal."""
     u, v, w = flow
     speed = float(np.linalg.norm(flow))
     total, roll = math.acos(u / speed), math.atan2(v, w)
@@ -279,7 +279,10 @@ def test_floor_on_airspeed() -> None:
 
 @pytest.mark.parametrize("key", ["moment_reference_over_time", "moment_reference_over_mass"])
 def test_moment_reference_moves(key: str) -> None:
-    """At 4 s of a burn from 4200 to 3200 kg in 10 s: 3800 kg. Slopes with Cm_alpha_pr go by the same reference."""
+    """The reference follows the mass: 3800 kg at 4 s of a burn from 4200 to 3200 kg in 10 s.
+
+    Slopes with Cm_alpha_pr use the same reference.
+    """
     flow = [300.0, 20.0, -35.0]
     reference = {
         "moment_reference_over_time": {"time_s": [0.0, 10.0], "station_m": [6.0, 7.0]},
@@ -301,7 +304,7 @@ def test_moment_reference_moves(key: str) -> None:
 
 # --- on the bent body
 def test_bent_body_feels_and_is_bent_by_the_local_flow() -> None:
-    """Generalised forces against the work of the resultant, and the local flow against a turned and moving body."""
+    """Generalised forces equal the work of the resultant, and the local flow is that of a turned and moving body."""
     flow = np.array([300.0, 20.0, -35.0])
     switches = {"bending_softening": False}
     aero = {
@@ -333,7 +336,7 @@ def test_bent_body_feels_and_is_bent_by_the_local_flow() -> None:
 
 
 def test_table_of_a_slope_is_the_slope() -> None:
-    """CN = CN_alpha sin(2 alpha) / 2 is what the slopes give: -k CN_alpha U W, at the same station of the modes."""
+    """CN = CN_alpha sin(2 alpha) / 2 has the force of the slopes, -k CN_alpha U W, at the same station of the modes."""
     total = np.linspace(0.0, 90.0, 361)
     columns = {"total_deg": total, "CN": 3.0 * np.sin(np.radians(total)) * np.cos(np.radians(total))}
     by_table = {"interpolation": "pchip", "moment_reference_m": 5.0, "coefficients": [{"table": columns}]}

@@ -1,4 +1,4 @@
-"""Slopes of tables over angle of attack in the linear model against the linearised simulator: to 1e-8."""
+"""Slopes of tables over angle of attack in the linear model equal the linearised simulator to 1e-8."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ SPEEDS, RATE = ("u_mps", "v_mps", "w_mps"), ("p_radps", "q_radps", "r_radps")
 @pytest.mark.parametrize("method", ["linear", "pchip"])
 @pytest.mark.parametrize("trim_deg", [(3.0, -2.0), (-11.0, 4.0), (6.0, 0.0), (0.5, 17.0)])
 def test_all_slopes_at_a_trim(method: str, trim_deg: tuple[float, float]) -> None:
-    """Forces and moments of five tables by all six motions, cross terms and Mach number included, rigid vehicle."""
+    """Forces and moments of five tables by all six motions of a rigid vehicle agree, including cross terms."""
     alpha, beta = np.radians(trim_deg)
     speed = 290.0
     flow = speed * np.array([math.cos(alpha) * math.cos(beta), math.sin(beta), math.sin(alpha) * math.cos(beta)])
@@ -131,7 +131,7 @@ def symmetric() -> Tree:
 
 
 def in_plane(model, plane: str) -> Array:
-    """Return the rates of the states of `vehicle_plant` by them; yaw in its mirrored axes."""
+    """Return the rates of the states of `vehicle_plant` by these states; yaw in its mirrored axes."""
     pitch = plane == "pitch"
     shape, side = ("eta", "pitch") if pitch else ("xi", "yaw")
     names = ["w_mps", "q_radps", "theta_rad"] if pitch else ["v_mps", "r_radps", "psi_rad"]
@@ -144,7 +144,7 @@ def in_plane(model, plane: str) -> Array:
 
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
 def test_flexible_vehicle_along_its_axis(plane: str) -> None:
-    """Rigid body, modes, slosh, damping with the mass properties; every entry."""
+    """Every entry agrees: rigid body, modes, slosh, and damping with the mass properties."""
     damping = {"time_s": [0.0], "x_Nms": [5e3], "y_Nms": [8e4], "z_Nms": [5e4]}
     made = made_of(FLEXIBLE, symmetric(), [300.0, 0.0, 0.0], {"rate_damping": damping})
     made.packed.memory[0].held.burning = 1
@@ -155,7 +155,7 @@ def test_flexible_vehicle_along_its_axis(plane: str) -> None:
 
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
 def test_rigid_vehicle_at_its_trim(plane: str) -> None:
-    """The planar slopes, and Z_alpha, M_alpha and M_q from them, for asymmetric tables at an angle of attack."""
+    """The planar slopes, and Z_alpha, M_alpha and M_q from them, agree for asymmetric tables at an angle of attack."""
     alpha, beta = np.radians((6.0, -4.0))
     speed = 290.0
     flow = speed * np.array([math.cos(alpha) * math.cos(beta), math.sin(beta), math.sin(alpha) * math.cos(beta)])
@@ -185,7 +185,7 @@ ROUND = {
 
 
 def inclined(trim_deg: tuple[float, float], coefficients: list[Tree], loads: Tree | None = None, **changes: Any) -> Rig:
-    """Flexible, with liquid and an engine, at an angle of attack; tables plus slopes over Mach and cross-flow."""
+    """Return a flexible vehicle with liquid and an engine at an angle of attack, with tables, slopes and cross-flow."""
     alpha, beta = np.radians(trim_deg)
     flow = 290.0 * np.array([math.cos(alpha) * math.cos(beta), math.sin(beta), math.sin(alpha) * math.cos(beta)])
     aero = symmetric() | ROUND | {"coefficients": coefficients}
@@ -196,7 +196,7 @@ def inclined(trim_deg: tuple[float, float], coefficients: list[Tree], loads: Tre
 
 @pytest.mark.parametrize("trim_deg", [(6.0, -4.0), (-3.0, 0.0), (2.0, 9.0)])
 def test_flexible_vehicle_at_its_trim(trim_deg: tuple[float, float]) -> None:
-    """Every coefficient of both planes: tables without symmetry, body and modes in angle of attack and sideslip."""
+    """Every coefficient of both planes agrees: asymmetric tables, body and modes, angle of attack and sideslip."""
     tables = [*symmetric()["coefficients"][:2], *({"table": t, "station_m": 4.0 + k} for k, t in enumerate(ALL))]
     made = inclined(trim_deg, tables)
     theirs = linearise(made.packed, made.packed.state, 0.0)
@@ -209,7 +209,7 @@ def test_flexible_vehicle_at_its_trim(trim_deg: tuple[float, float]) -> None:
 
 
 def test_what_other_states_do_to_one_plane_in_incidence() -> None:
-    """A body of revolution at 4 deg and 2 deg of sideslip: speed, roll and the other plane (docs/model.md, 6)."""
+    """At 4 deg with 2 deg of sideslip, speed, roll and the other plane affect a plane as docs/model.md, 6, states."""
     made = inclined((4.0, 2.0), symmetric()["coefficients"])
     model, hz = linearise(made.packed, made.packed.state, 0.0), np.geomspace(0.05, 30.0, 25)
     apart = []

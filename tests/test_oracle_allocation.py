@@ -1,4 +1,4 @@
-"""Allocation of pitch, yaw and roll to groups of engines, against NumPy's pseudo-inverse and moments written here."""
+"""Allocation of pitch, yaw and roll to engine groups equals NumPy's pseudo-inverse and moments written here."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_an_axis_that_cannot_be_turned_gets_nothing_and_costs_the_others_nothing
 
 
 def test_the_computer_does_not_know_by_what_an_engine_deviates() -> None:
-    """A dispersed engine flies with the allocation of the vehicle as it is."""
+    """A dispersed engine flies with the allocation of the nominal vehicle."""
     off = ["vehicle.stage.0.engine.0.thrust_factor=1.1", "vehicle.stage.0.engine.3.mass_flow_factor=0.9"]
     for one, other in zip(matrices(packed())[1], matrices(packed(*off))[1], strict=True):
         assert one.tobytes() == other.tobytes()
@@ -150,7 +150,7 @@ def test_gimbals_hold_roll_against_a_torque_as_the_pd_law_says() -> None:
 
 @pytest.mark.slow
 def test_groups_with_equal_commands_fly_as_one_group() -> None:
-    """Without roll control the pseudo-inverse of a symmetric cluster is the law's command for all."""
+    """Without roll control, the pseudo-inverse of a symmetric cluster gives the law's command to all groups."""
     one = fly(load_scenario(NINE, ["run.duration_s=12.0"]))
     many = fly(load_scenario(NINE, [*SINGLY, "run.duration_s=12.0"]))
     for channel in ("gimbal_pitch_angle_deg", "pitch_deg", "altitude_m", "eta_pitch_1_m"):

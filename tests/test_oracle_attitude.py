@@ -1,6 +1,6 @@
-"""Attitude in the computer and its error, against SciPy's rotations and quadrature of the body rates.
+"""Attitude in the computer and its error equal SciPy's rotations and quadrature of the body rates.
 
-| what | oracle |
+| case | oracle |
 |---|---|
 | strapdown over a coning motion | product of ten thousand small SciPy rotations |
 | attitude error at any attitude | SciPy: Euler angle of the roll, angle and axis between the noses |
@@ -36,7 +36,7 @@ def scipy_of(q: Array) -> Rotation:
 
 
 def coning(sample_s: float, end_s: float) -> tuple[float, float]:
-    """Error, rad, of the strapdown over rates that are linear in time within a few samples; and without coning term."""
+    """Return the strapdown error, rad, over rates linear in time within a few samples, with and without coning term."""
     rate = np.array([0.4, -0.7, 0.3]), np.array([1.1, 0.5, -0.9])
 
     def angle(t: float) -> Array:
@@ -168,7 +168,7 @@ def cone_angles(t: float) -> Array:
 
 
 def test_the_computer_follows_a_body_that_cones() -> None:
-    """Closed form of the motion: about the momentum, then back about the body axis. Its drift is that of (9.2)."""
+    """The computer follows the closed-form motion, about the momentum and the body axis, with drift (9.2)."""
     around, across = INERTIA_KGM2
     parts = Parts(
         engine=False, core_inertia=((around, 0.0, 0.0), (0.0, across, 0.0), (0.0, 0.0, across)), core_cg=(7.0, 0.0, 0.0)

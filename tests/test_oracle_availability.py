@@ -1,4 +1,4 @@
-"""Launch availability by month: bounds against SciPy, dates of soundings, winds of the months, verdicts."""
+"""Launch availability by month agrees with SciPy's bounds, dates of soundings, winds of the months and verdicts."""
 
 from __future__ import annotations
 
@@ -96,7 +96,10 @@ WIND = '[[requirement]]\nmetric = "max_powered_dynamic_pressure_Pa"\nlimit = 150
 
 
 def test_share_of_flights_that_meet_all_limits_by_the_month_of_their_sounding(tmp_path: Path) -> None:
-    """At release in 30 m/s 550 Pa are met, in 1 m/s hardly any: two Januaries, a July, and a day without date."""
+    """Shares are counted by month of the sounding: two Januaries, a July and an undated day.
+
+    At release in 30 m/s the 550 Pa limit is met, in 1 m/s hardly ever.
+    """
     for n, (date, speed) in enumerate((("2001-01-02", 30), ("2002-01-09", 1), ("2002-07-01", 1), ("unknown", 30))):
         (tmp_path / f"{n}.csv").write_text(DATED.format(date, speed=speed))
     names = json.dumps([str(tmp_path / f"{n}.csv") for n in range(4)])
@@ -132,7 +135,10 @@ correlation_length_m = 6000.0
 
 @pytest.mark.parametrize("vehicle", ["ksr3", pytest.param("petrel", marks=pytest.mark.slow)])
 def test_winds_of_a_month_are_the_mean_and_the_deviations_times_its_factors(tmp_path: Path, vehicle: str) -> None:
-    """With the draws of the same runs without months; twelve months in turn, whatever the first run is."""
+    """Winds of a month are its mean plus the deviations times its factors, for the draws of runs without months.
+
+    Twelve months follow in turn, whatever the first run.
+    """
     factors = "months = {month = [1, 7], mean_factor = [2.0, 0.5], sigma_factor = [1.5, 0.0]}"
     plans = []
     for name, more in (("plain", ""), ("months", factors)):
@@ -170,7 +176,7 @@ def test_shipped_months_go_through_the_two_that_are_assumed() -> None:
 
 
 def test_a_suite_judges_each_month_by_its_availability() -> None:
-    """At 90 % with 90 %: 45 flights without a miss show it, 20 do not settle it, 30 that miss in 60 refuse it."""
+    """At 90 % with 90 % confidence, 45 flights without a miss are enough, 20 undecided, 30 misses in 60 too many."""
     counts = ((1, 60, 30, 4), (6, 20, 0, None), (7, 45, 0, None))
     months = tuple(Month(m, n, k, *clopper_pearson(n - k, n, 0.9), 0.9, run) for m, n, k, run in counts)
     none = Path("runs")

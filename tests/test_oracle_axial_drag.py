@@ -1,8 +1,8 @@
-"""The part of bending by axial drag that the model omits: a bound, and its formula against a beam of finite elements.
+"""The effect of axial drag on bending that the model omits is bounded, and its formula equals finite elements.
 
 Axial drag A at the nose compresses the axis behind it and follows its slope. The model has neither (docs/model.md,
-section 6): its axial load is that of the mass forward alone. By first-order perturbation a mode's frequency is then
-wrong by  -A (int phi'^2 dx + phi sigma at the nose) / (2 M w^2)  of itself.
+section 6): its axial load is that of the mass forward alone. By first-order perturbation, the relative error of a
+mode's frequency is -A (int phi'^2 dx + phi sigma at the nose) / (2 M w^2).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ LENGTH, STIFFNESS, DENSITY, ELEMENTS = 10.0, 4e6, 90.0, 80
 
 
 def beam(compression: tuple[float, float], at_nose: float, at_tail: float) -> tuple[Array, Array, Array]:
-    """Bernoulli beam, free at both ends: eigenvalues, modes (w and w' of every node, by columns), mass matrix.
+    """Return eigenvalues, modes (w and w' of every node, by columns) and mass matrix of a free-free Bernoulli beam.
 
     `compression` at nose and tail, linear between; `at_nose` a follower force aft, `at_tail` one forward.
     """
@@ -52,7 +52,7 @@ def beam(compression: tuple[float, float], at_nose: float, at_tail: float) -> tu
 
 
 def test_first_order_change_is_that_of_the_beam() -> None:
-    """Modes 1 to 3 of a uniform beam under thrust and drag, against the same with the drag left out of bending."""
+    """The first-order change is that of modes 1 to 3 of a uniform beam with drag in bending and without."""
     drag, thrust = 400.0, 2000.0
     free, modes, mass = beam((0.0, 0.0), 0.0, 0.0)
     full, _, _ = beam((drag, thrust), drag, thrust)
@@ -72,7 +72,7 @@ def test_first_order_change_is_that_of_the_beam() -> None:
 
 @pytest.mark.slow
 def test_bound_for_the_case_study() -> None:
-    """KSR-III, all of its axial force at the nose, which is the worst place: modes 1 to 3, from 5 to 50 s."""
+    """For KSR-III with all axial force at the nose, the worst place, modes 1 to 3 are within the bound (5 to 50 s)."""
     loaded = load_scenario("nominal")
     bending = loaded.scenario.vehicle.stage[0].bending
     assert bending is not None

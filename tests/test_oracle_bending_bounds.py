@@ -1,9 +1,9 @@
-"""Terms of second order of a moving engine on a bending body (docs/model.md, sections 3 and 4) against particles.
+"""Second-order terms of a moving engine on a bending body (docs/model.md, sections 3 and 4) agree with particles.
 
 | term | | against |
 |---|---|---|
 | roll moment of the displaced engine on the bent mount | contained in the equations | Kane's method |
-| force of the engine's own inertia on a mode under p r | dropped, as large as I_t sigma p r | six particles |
+| force of the engine's own inertia on a mode under p r | omitted, as large as I_t sigma p r | six particles |
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def particle_vehicle(rng: np.random.Generator) -> tuple[multibody_particles.Beam
 
 
 def roll_moments(angle_deg: float, bent_m: float, seed: int) -> tuple[float, float]:
-    """Return the roll moment that Lagrange's equations miss, and that of the displaced engine on the bent mount, N m.
+    """Return the roll moment missing in Lagrange's equations, and that of the displaced engine on the bent mount, N m.
 
     Both modes are bent and the engine deflected, at rest.
     """
@@ -59,7 +59,7 @@ def roll_moments(angle_deg: float, bent_m: float, seed: int) -> tuple[float, flo
 
 @pytest.mark.parametrize("seed", range(4))
 def test_roll_moment_of_the_displaced_engine_is_in_the_equations(seed: int) -> None:
-    """The moment is of second order; the rest, of fourth order, is the axial velocity that the modal energy drops."""
+    """The second-order moment is contained; the fourth-order rest is an axial velocity absent from modal energy."""
     missed, moment = roll_moments(6.0, 0.01, seed)
     assert abs(moment) > 5e3
     assert abs(missed) < 1e-4 * abs(moment)
@@ -67,7 +67,7 @@ def test_roll_moment_of_the_displaced_engine_is_in_the_equations(seed: int) -> N
 
 
 def test_inertia_of_the_engine_drives_a_mode_by_p_r() -> None:
-    """d(T)/d(eta) at rest in the modes, of particles: a beam, and a rotor of equal inertia about all axes behind it."""
+    """The force equals d(T)/d(eta) of particles at rest in the modes: a beam and an isotropic rotor behind it."""
     rng = np.random.default_rng(2)
     mass, x = rng.uniform(200.0, 600.0, 12), np.linspace(6.0, -5.0, 12)
     each, radius, slope, station = 40.0, 0.8, 0.3, -6.0

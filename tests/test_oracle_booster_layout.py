@@ -1,4 +1,4 @@
-"""A layout with boosters against sums by hand, closed forms and the files that simvehicle writes for it."""
+"""A layout with boosters agrees with sums by hand, closed forms and the files that simvehicle writes for it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ HERON = Path(__file__).parent.parent / "scenarios" / "layouts" / "heron.toml"
 
 @pytest.fixture(scope="module")
 def built() -> Built:
-    """Return the shipped layout with section loads of its core, on a gravity turn (no search for an orbit)."""
+    """Return the shipped layout with section loads of its core on a gravity turn, without search for an orbit."""
     layout = read_layout(HERON)
     core = layout.stage[0].model_copy(update={"loads": LoadSections(stations_m=(16.0, 20.0, 30.0, 35.0))})
     layout = layout.model_copy(update={"stage": (core, *layout.stage[1:])})

@@ -1,9 +1,9 @@
-"""Section loads of a core with boosters against the sum of forces on every part forward of the cut.
+"""Section loads of a core with boosters equal the sum of forces on every part forward of the cut.
 
-The oracle places particles along the rods of core and boosters, and the CG of each bob and engine. It takes the motion
-of the whole vehicle (specific force, angular acceleration, modal and pendulum accelerations) from the simulator. From
-it follows the inertial force of each particle; thrust and the force of the air are added. A booster that two stations
-hold is in equilibrium with two forces; one that a station clamps, with a force and a couple.
+The oracle places particles along the rods of core and boosters, and at the CG of each bob and engine. The simulator
+gives the motion of the whole vehicle: specific force, angular acceleration, modal and pendulum accelerations. The
+inertial force of each particle follows, and thrust and air loads are added. A booster held at two stations is in
+equilibrium with two forces; one clamped at a station, with a force and a couple.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def particles(rods: list[tuple[float, float, float]]) -> tuple[Array, Array]:
 
 
 def composed(points: list[tuple[float, Array]], extra_kgm2: float) -> tuple[float, Array, Array]:
-    """Return the mass, CG (B) and inertia about it of points (kg, place), with an isotropic inertia in addition."""
+    """Return the mass, CG (B) and inertia about it of points (kg, place), plus an isotropic inertia."""
     mass = sum(m for m, _ in points)
     cg = sum(m * r for m, r in points) / mass
     turned = sum(m * ((r - cg) @ (r - cg) * np.eye(3) - np.outer(r - cg, r - cg)) for m, r in points)
@@ -96,7 +96,7 @@ def in_tank(side: Tree) -> tuple[float, float]:
 
 
 def dry_points(side: Tree, shift: tuple[float, float]) -> list[tuple[float, Array]]:
-    """Return the rods of a booster, moved off its axis by `shift`, and its engine at rest."""
+    """Return the rods of a booster, displaced from its axis by `shift`, and its engine at rest."""
     x, m = particles(side["rods"])
     y, z = side["at"]
     points = [(mass, np.array([-at, y + shift[0], z + shift[1]])) for at, mass in zip(x, m, strict=True)]
@@ -135,7 +135,7 @@ def booster(name: str, shift: tuple[float, float]) -> Tree:
 
 
 def shapes() -> tuple[CubicHermiteSpline, ...]:
-    """Two shapes without momentum and angular momentum of core and boosters, weighted with all masses but the bob."""
+    """Return two shapes without momentum and angular momentum of core and boosters under all masses but the bob."""
     rows = []
     for k in range(2):
         phi = np.cos((k + 2) * np.pi * GRID_M / 12.0) * (1.0 + 0.02 * GRID_M)
@@ -254,7 +254,7 @@ class Whole:
         self.y_2 = xi_2 - p * p * self.xi - turning * self.eta - 2.0 * p * etadot
 
     def bend(self, value: Any) -> tuple[Array, Array]:
-        """Return the displacement and acceleration in B by the modes, from the shapes `value(shape)` there."""
+        """Return the displacement and acceleration in B due to the modes, for the shapes `value(shape)` of a point."""
         phi = np.array([value(shape) for shape in self.shapes])
         if len(phi) == 0:
             return np.zeros(3), np.zeros(3)
@@ -266,7 +266,7 @@ class Whole:
 
 
 def loads_on(side: Tree, name: str, w: Whole, now: Any, y: Array, made: Any, shift: tuple[float, float]) -> Any:
-    """Force on the core by a booster and its moment about the displaced first attachment, on the core's axis."""
+    """Return the force of a booster on the core, and its moment about the displaced first attachment."""
     forces: list[tuple[Array, Array]] = []  # place and force
     couple = np.zeros(3)
     first = side["held"][0]
@@ -318,7 +318,7 @@ def loads_on(side: Tree, name: str, w: Whole, now: Any, y: Array, made: Any, shi
 
 
 def expected(w: Whole, now: Any, y: Array, made: Any, shift: tuple[float, float]) -> Array:
-    """Return the loads at all stations (stations, 5): every particle of the core, and the joints of the boosters."""
+    """Return the loads at all stations (stations, 5) from every particle of the core and the joints of the boosters."""
     x, m = particles(CORE_RODS)
     forces: list[tuple[float, Array, Array]] = []  # station, place and force
     for at, mass in zip(x, m, strict=True):
@@ -356,7 +356,8 @@ def expected(w: Whole, now: Any, y: Array, made: Any, shift: tuple[float, float]
 
 @pytest.mark.parametrize("bent", [False, True])
 def test_loads_are_the_sum_of_forces_on_every_part(bent: bool) -> None:
-    """All rates without modes; with modes a roll rate only, as terms of modal displacement with q and r are omitted.
+    """Without modes, loads agree at any rates; with modes, at a roll rate, as displacement terms with q and r are
+    omitted.
 
     A booster's inertia in the modes is the mean of both planes, so that its rods are on its axis with modes. Both
     planes have the same shapes, because the quasi-velocities in roll neglect their difference.
@@ -385,7 +386,7 @@ def test_loads_are_the_sum_of_forces_on_every_part(bent: bool) -> None:
 
 
 def test_loads_follow_ignition_burnout_and_separation() -> None:
-    """Straight flight: forward of 9 m everything hangs on all thrusts, behind 9 m on that of the core alone.
+    """In straight flight, all thrusts carry the vehicle forward of 9 m, and the core's thrust alone that behind 9 m.
 
     A pair burns from 0 to 12 s, the other from 3 to 15 s, and all leave at 16.5 s; the core's liquid rests on 6 m.
     """
@@ -420,7 +421,7 @@ def test_loads_follow_ignition_burnout_and_separation() -> None:
 
 
 def test_outflow_of_turning_boosters_leaves_the_ends_free() -> None:
-    """At the gimbal, the core bears the thrust of its engine alone. The flow has Coriolis forces elsewhere."""
+    """At the gimbal, the core carries only the thrust of its engine; the flow has Coriolis forces elsewhere."""
     line = [{"front_station_m": 1.0, "rear_station_m": 11.0, "mass_kg": 1600.0}]  # its CG is that of the core
     table = {"time_s": [0.0, 60.0], "mass_kg": [2400.0, 0.0], "front_station_m": [4.0, 4.0]}
     liquid = [{"table": table, "bottom_station_m": 8.0}]

@@ -1,9 +1,9 @@
-"""Boosters against closed forms, hand calculations and the multibody oracle.
+"""Boosters agree with closed forms, hand calculations and the multibody oracle.
 
-| what | against |
+| case | against |
 |---|---|
 | core and boosters with their own propellant, ignition, burnout and separation | the rocket equation |
-| a liquid off the axis in a booster that two stations of a bent core hold | Lagrange |
+| off-axis liquid in a booster held at two stations of a bent core | Lagrange |
 | thrust, drag and lift of a single booster | sums of moments about the CG, with products of inertia |
 | a separation while core, liquid, engine and modes move | the motion of each particle, before and after |
 | the linear model, with boosters and after them | the difference of two flights |
@@ -206,7 +206,7 @@ def test_thrust_drag_and_lift_of_a_single_booster() -> None:
 
 
 def off_axis(place: tuple[float, float] = (1.1, 0.7)) -> tuple[Tree, system.Vehicle, Any]:
-    """Random parts with a booster that stations 5 and 10 hold, with its own liquid; for the oracle as one vehicle."""
+    """Return random parts with a booster held at stations 5 and 10, with its own liquid, also as one vehicle."""
     rng = np.random.default_rng(7)
     parts = random_parts(rng, alike=False)
     parts = replace(parts, tanks=parts.tanks[:1])
@@ -260,7 +260,7 @@ def test_liquid_off_the_axis_of_a_bent_core_agrees_with_lagrange() -> None:
 
 
 def dropped(a: tuple[float, float] = (0.3, -0.04), instant_s: float = 2e-6) -> Tree:
-    """The vehicle of `off_axis`, whose booster leaves at once: its modes are then the old ones plus rigid motion."""
+    """Return the vehicle of `off_axis` after its booster left: the modes are the old ones plus rigid motion."""
     tree, _, _ = off_axis()
     stage = tree["vehicle"]["stage"][0]
     later = copy.deepcopy(stage) | AFTER
@@ -304,9 +304,9 @@ def places(made: Rig, y: Array, stage: int, rows: dict[str, Any]) -> dict[str, t
 
 
 def test_parts_that_remain_keep_their_motion() -> None:
-    """Axis and bob are where they were and move as they did, though CG, axes and modes change; so does the engine.
+    """Axis, bob and engine keep place and velocity, although CG, axes and modes change.
 
-    What stays keeps the motion of each of its masses, and what leaves carries the rest of the momentum.
+    Each remaining mass keeps its motion, and the separated part has the rest of the momentum.
     """
     tree = dropped()
     made = rig(tree)
@@ -335,7 +335,7 @@ def test_parts_that_remain_keep_their_motion() -> None:
 
 
 def test_gimballed_boosters_and_what_they_leave_behind() -> None:
-    """Engine groups, tanks and TVC loads of a booster that stays keep their angles; those of the other one are gone."""
+    """Engine groups, tanks and TVC loads of a remaining booster keep their angles; the others are gone."""
     link = {"frequency_hz": 20.0, "damping_ratio": 0.05}
     servo = {"model": "second-order", "omega_hz": [6.0], "zeta": [0.7], "angle_limit_deg": 8, "rate_limit_degps": 90}
     moves = {"gimbal": "both", "gimballed_mass_kg": 40.0, "cg_from_gimbal_m": 0.3, "inertia_about_gimbal_kgm2": 9.0}
@@ -401,7 +401,7 @@ def test_boosters_of_a_stage_that_continues_are_those_before() -> None:
 
 @pytest.mark.parametrize(("stage", "instant_s"), [(0, 1.0), (1, 13.0)])
 def test_linear_model_is_the_difference_of_two_flights(stage: int, instant_s: float) -> None:
-    """A step of the gimbals turns the body and moves the liquid as the linear model says, with boosters and after them.
+    """A step of the gimbals turns the body and moves the liquid as in the linear model, with boosters and after them.
 
     The flights start at the operating point with the vehicle frozen; the model is integrated by SciPy.
     """
@@ -444,7 +444,7 @@ def test_linear_model_is_the_difference_of_two_flights(stage: int, instant_s: fl
 
 
 def test_a_booster_that_fails_keeps_its_propellant() -> None:
-    """The left engine is off from 5 s on: 750 kg stay, the thrust is one-sided, and the other's burnout counts.
+    """With the left engine off from 5 s, 750 kg stay, the thrust is one-sided, and the other booster's burnout counts.
 
     The pitch acceleration is the moment about the CG of all bodies over the inertia by sums of points.
     """
@@ -474,7 +474,7 @@ def test_a_booster_that_fails_keeps_its_propellant() -> None:
 
 
 def test_burn_rate_and_late_separation_of_boosters() -> None:
-    """A burn rate of 1.2 expels the same mass in 10 s; a separation 5 s later leaves the core its rest."""
+    """A burn rate of 1.2 expels the same mass in 10 s; a separation 5 s later leaves the core its propellant."""
     pair = copy.deepcopy(PAIR)
     for booster in pair:
         booster["engine"]["mass_flow_factor"] = 1.2
@@ -489,7 +489,7 @@ def test_burn_rate_and_late_separation_of_boosters() -> None:
 
 @pytest.mark.parametrize("interpolation", ["linear", "pchip"])
 def test_thrust_above_zero_ends_with_the_propellant(interpolation: str) -> None:
-    """A thrust of 110 kN from the first to the last second of the flow, and a coast: v = F / m' ln(m_0 / m_1)."""
+    """A thrust of 110 kN over the whole flow, then a coast, gives v = F / m' ln(m_0 / m_1)."""
     steady = engine(110e3, 60.0, 11.0) | {"table": {"time_s": [0.0, 60.0], "thrust_vacuum_N": [110e3, 110e3]}}
     tree = launcher(core({"interpolation": interpolation}, [], engine=steady), run={"duration_s": 70.0})
     flight = fly(load(tree))

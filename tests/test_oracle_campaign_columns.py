@@ -1,4 +1,4 @@
-"""Columns of the data set against pyarrow's own conversion."""
+"""Columns of the data set equal pyarrow's conversion."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_bits_of_numbers_are_kept() -> None:
 
 @pytest.mark.slow
 def test_without_pandas() -> None:
-    """Whoever has pandas does not pay for it: it takes as long to import as five flights to fly."""
+    """The data set does not import pandas, which takes as long as five flights."""
     code = (
         "import sys, pyarrow as pa; from maxq.sim.campaign.runs import array_of\n"
         "array_of([1.0, None], pa.float64()); array_of(['a'], pa.string()); sys.exit('pandas' in sys.modules)"

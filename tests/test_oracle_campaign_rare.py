@@ -1,10 +1,10 @@
-"""Subset simulation against limit states whose probability of failure is known, and on flights.
+"""Subset simulation agrees with known probabilities of failure, and with flights.
 
 | limit state | probability |
 |---|---|
 | beta - a . z, a unit | Phi(-beta) |
 | R^2 - z'z | chi squared |
-| either of two opposite hyperplanes | 2 Phi(-beta): both ways to fail are found |
+| either of two opposite hyperplanes | 2 Phi(-beta): both failure modes are found |
 | noise alone | a share of all seeds |
 """
 
@@ -33,9 +33,11 @@ CLOSED_FORMS = ("hyperplane in 20", "hyperplane in 5, 1e-6", "outside of a spher
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CLOSED_FORMS)
 def test_probabilities_are_those_of_the_closed_forms(name: str) -> None:
-    """Twenty times: the mean within four of its own standard errors and 0.15 (levels put where the points are estimate
-    a little too much), intervals at 90 % that cover in 60 % and more (fewer by chance: 2e-4), for a third of the
-    flights of plain sampling where the probability is 1e-4 and below."""
+    """Over twenty searches, the mean is within four of its standard errors plus 0.15 of the closed form.
+
+    Levels placed at the sampled points cause a slight bias. The intervals at 90 % cover in 60 % or more (fewer by
+    chance: 2e-4). A probability of 1e-4 or less takes a third of the flights of plain sampling.
+    """
     scores, p, value = STATES[name]
     found = [subset_simulation(value, scores, 300, 0.9, seed) for seed in range(20)]
     ratio = np.array([one.probability for one in found]) / p
@@ -48,7 +50,10 @@ def test_probabilities_are_those_of_the_closed_forms(name: str) -> None:
 
 @pytest.mark.slow
 def test_the_interval_covers_as_often_as_is_said() -> None:
-    """At 90 % with half of the population that the command uses; 165 of 200 is 3.5 standard errors below 90 %."""
+    """The 90 % interval covers in at least 165 of 200 searches, 3.5 standard errors below 90 %.
+
+    The population is half of the command's default.
+    """
     scores, p, value = STATES["hyperplane in 20"]
     found = [subset_simulation(value, scores, 100, 0.9, 1000 + seed) for seed in range(200)]
     assert sum(one.low <= p for one in found) > 165
@@ -65,14 +70,17 @@ def test_bounds_are_students_at_half_the_stated_risk() -> None:
 @pytest.mark.parametrize(
     ("name", "undecided"),
     [
-        ("noise with 0.3 of the standard deviation, 1e-04", False),
-        ("noise with 0.5 of the standard deviation, 1e-04", False),
-        ("noise with 0.8 of the standard deviation, 1e-04", True),
-        ("noise with 0.95 of the standard deviation, 1e-04", True),
+        ("noise of 0.3 sigma, 1e-04", False),
+        ("noise of 0.5 sigma, 1e-04", False),
+        ("noise of 0.8 sigma, 1e-04", True),
+        ("noise of 0.95 sigma, 1e-04", True),
     ],
 )
 def test_no_bound_is_given_where_noise_decides(name: str, undecided: bool) -> None:
-    """Upper bounds at 90 % would cover in 33 to 85 % if noise has 0.8 and more of the standard deviation."""
+    """No bound is given when noise dominates.
+
+    If noise has 0.8 or more of the standard deviation, upper bounds at 90 % would cover in only 33 to 85 %.
+    """
     state = STATES[name]
     found = [subset_simulation(state.value, state.scores, 435, 0.9, seed) for seed in range(8)]
     assert [bool(one.undecided) for one in found] == [undecided] * 8
@@ -82,27 +90,27 @@ def test_no_bound_is_given_where_noise_decides(name: str, undecided: bool) -> No
 
 
 def test_noise_alone_is_undecided() -> None:
-    """A seed has no neighbours: only one in a thousand stays beyond the last level with another seed."""
+    """Noise alone is undecided: seeds have no neighbours, and one in a thousand stays beyond the last level."""
     found = subset_simulation(lambda z, noise: noise / 2.0**62 - 0.999, 2, 150, 0.9)
     assert (found.low, found.high) == (0.0, 1.0)
     assert all(0.0 <= one.fresh_noise < 0.04 for one in found.each)
 
 
 def test_noise_without_effect_changes_nothing() -> None:
-    """With other noise, flights stay beyond a level as often as with the same: about 44 %."""
+    """With noise that has no effect, other seeds stay beyond a level as often as the same seed: about 44 %."""
     found = subset_simulation(lambda z, _: z[:, 0] - 3.7, 1, 400, 0.9)
     assert np.mean([one.fresh_noise for one in found.each]) == pytest.approx(0.44, abs=0.1)
 
 
 def test_points_that_are_not_possible_are_no_part_of_the_space() -> None:
-    """P(z > 3.5 | z > 0) is twice P(z > 3.5)."""
+    """Impossible points are excluded from the space: P(z > 3.5 | z > 0) is twice P(z > 3.5)."""
     found = subset_simulation(lambda z, _: np.where(z[:, 0] > 0.0, z[:, 0] - 3.5, np.nan), 2, 1000, 0.9)
     assert found.probability == pytest.approx(2.0 * stats.norm.sf(3.5), rel=0.35)
 
 
 @pytest.mark.parametrize("p", [1e-4, 1e-5])
 def test_a_value_that_stops_short_of_its_limit_is_undecided(p: float) -> None:
-    """A decoy saturates at 2 sigma: no population finds the other failure, and no bound is given."""
+    """A decoy that saturates at 2 sigma hides the other failure from every population, and no bound is given."""
     state = decoy(p)
     found = subset_simulation(state.value, state.scores, 435, 0.9)
     assert (found.probability, found.low, found.high) == (0.0, 0.0, 1.0)
@@ -114,7 +122,7 @@ def test_a_value_that_stops_short_of_its_limit_is_undecided(p: float) -> None:
 def test_flights_miss_as_rarely_as_their_thrust_is_drawn(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Thrust over weight grows with the thrust factor and with nothing else: its limit is that of 2.5 sigma of it."""
+    """The bounds enclose the probability of a thrust factor beyond 2.5 sigma, on which the metric alone depends."""
     monkeypatch.setattr(rare, "FEWEST", 50)
     metric, p = "max_thrust_over_weight_g", float(stats.norm.sf(2.5))
     before = campaignkit.small(tmp_path, runs=8)

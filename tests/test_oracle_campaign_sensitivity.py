@@ -1,4 +1,4 @@
-"""Indices against functions whose indices are known, and the shrinking of failures against ones that were put in."""
+"""Indices equal those of known functions, and planted causes of failures are found."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from maxq.tools.campaign_report import how_judged
 
 
 def test_first_order_indices_of_ishigamis_function() -> None:
-    """a = 7, b = 0.1: 0.3139, 0.4424, 0 (Saltelli et al., Sensitivity Analysis, 2000)."""
+    """With a = 7 and b = 0.1 the indices are 0.3139, 0.4424, 0 (Saltelli et al., Sensitivity Analysis, 2000)."""
     rng = np.random.default_rng(1)
     x = rng.uniform(-math.pi, math.pi, (20_000, 3))
     y = np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
@@ -65,7 +65,7 @@ def test_rank_correlation_is_scipys_with_ties() -> None:
 
 
 def test_borgonovos_delta_of_a_sum_of_normal_inputs() -> None:
-    """y = 2 a + b: the distance of the conditional normal law from the unconditional one, integrated numerically."""
+    """For y = 2 a + b, delta is the distance of the conditional from the unconditional normal law."""
     rng = np.random.default_rng(3)
     a, b, c = rng.normal(size=(3, 40_000))
     y = 2.0 * a + b
@@ -87,7 +87,7 @@ def test_borgonovos_delta_of_a_sum_of_normal_inputs() -> None:
 
 
 def test_first_order_index_of_a_switch_that_is_mostly_off() -> None:
-    """Most values are the least one: a class of the quantiles is empty. Var(E[y|x]) = 9 p (1 - p), and the rest 1."""
+    """With most values at the minimum, one quantile class is empty; Var(E[y|x]) = 9 p (1 - p), and the rest is 1."""
     rng = np.random.default_rng(8)
     on = (rng.random(20_000) < 0.3).astype(float)
     y = 3.0 * on + rng.normal(size=len(on))
@@ -180,7 +180,7 @@ def test_shrinking_what_does_not_fail(tmp_path: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.slow
 def test_a_search_begins_all_over_the_box() -> None:
-    """A Latin hypercube: each of as many equal cells of an input holds one member."""
+    """The start is a Latin hypercube: each equal cell of an input contains one member."""
     bounds = np.array([[-2.0, 6.0], [10.0, 11.0]])
     first = investigation._first(bounds, 16)
     cells = np.floor(16.0 * (first - bounds[:, 0]) / (bounds[:, 1] - bounds[:, 0])).astype(int)
@@ -189,7 +189,7 @@ def test_a_search_begins_all_over_the_box() -> None:
 
 @pytest.mark.long
 def test_the_search_goes_into_the_worst_corner(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Thrust over mass grows with the thrust factor and with nothing else here: the corner is 3 sigma up."""
+    """Thrust over mass depends on the thrust factor alone, so the worst corner is 3 sigma up."""
     campaign = campaignkit.small(tmp_path, runs=8)
     found = [search_worst(campaign, "max_thrust_over_weight_g", flights=250, workers=w) for w in (1, 2)]
     assert found[0].draws == found[1].draws
@@ -268,7 +268,7 @@ def test_the_report_stands_alone(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_a_campaign_stops_when_its_verdicts_are_settled(tmp_path: Path) -> None:
-    """A requirement that every run misses is settled after a few; so is what all meet at a lower level."""
+    """A requirement that every run misses is settled after a few runs, as is one that all meet at a lower level."""
     rest = FAILING.replace("1e-3", "-1.0")
     text = campaignkit.campaign_text(runs=400, rest=rest, inputs="", campaign="success = 0.9")
     (tmp_path / "early.toml").write_text(text.replace('unset = ["requirement"]\n', ""))
@@ -281,7 +281,7 @@ def test_a_campaign_stops_when_its_verdicts_are_settled(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_fixed_number_of_runs_is_recorded_and_an_extension_said(tmp_path: Path) -> None:
-    """Judged at the recorded number only, whatever the file says later; another test is another campaign."""
+    """A fixed number of runs is judged at that number only, whatever the file says later."""
     file = campaignkit.write_campaign(tmp_path, runs=30, campaign='success = 0.9\ntest = "fixed"')
     campaign, out = maxq.load(file), tmp_path / "out"
     shown = {}

@@ -1,4 +1,4 @@
-"""Bounds and run counts against sums of the binomial distribution, published numbers and simulation."""
+"""Bounds and run counts equal sums of the binomial distribution, published numbers and simulation."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ User = Callable[[np.ndarray, int | None, Judge], bool]
     ("success", "runs"), [(0.9973, [852, 1440, 1970, 2473, 2959]), (0.99865, [1705, 2880, 3941, 4947])]
 )
 def test_runs_that_show_it_with_k_failures(success: float, runs: list[int]) -> None:
-    """The table of shared/design/practice.md (Hanson & Beard, NASA/TP-2010-216447), 90 % confidence."""
+    """The numbers of runs equal the table of Hanson & Beard, NASA/TP-2010-216447, at 90 % confidence."""
     for k, n in enumerate(runs):
         assert s.allowed_failures(n, success, 0.9) == k
         assert s.allowed_failures(n - 1, success, 0.9) == k - 1
@@ -51,7 +51,7 @@ def test_two_thousand_runs() -> None:
 
 @pytest.mark.parametrize(("k", "n"), [(0, 10), (3, 50), (10, 10), (7, 2000)])
 def test_bounds_are_where_the_binomial_tails_are(k: int, n: int) -> None:
-    """Sums of probabilities, term by term."""
+    """The bounds equal sums of probabilities, term by term."""
 
     def at_most(count: int, p: float) -> float:
         return math.fsum(math.comb(n, i) * p**i * (1 - p) ** (n - i) for i in range(count + 1))
@@ -82,7 +82,7 @@ def test_judgements() -> None:
 
 @pytest.mark.parametrize(("k", "n", "p"), [(0, 50, 0.0027), (3, 400, 0.01), (12, 90, 0.05), (40, 40, 0.3), (1, 1, 0.5)])
 def test_evidence_is_the_integral_over_the_mixture(k: int, n: int, p: float) -> None:
-    """The likelihood ratio, averaged over the other side of p numerically."""
+    """The evidence is the likelihood ratio averaged numerically over the other side of p."""
 
     def ratio(q: float) -> float:
         return math.exp(k * math.log(q / p) + (n - k) * math.log((1.0 - q) / (1.0 - p))) if q < 1.0 or n == k else 0.0
@@ -95,7 +95,7 @@ def test_evidence_is_the_integral_over_the_mixture(k: int, n: int, p: float) -> 
 
 
 def test_the_order_statistic_agrees_with_the_verdict() -> None:
-    """The bound lies within the limit exactly when no more fail than are allowed."""
+    """The bound is within the limit exactly when no more runs fail than are allowed."""
     rng = np.random.default_rng(2)
     for planned in (None, 2000):
         for _ in range(50):
@@ -120,8 +120,10 @@ def test_the_order_statistic_covers_the_quantile_as_often_as_it_says() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_bounds_of_a_tail_are_those_of_the_profile_likelihood(seed: int) -> None:
-    """On a fine grid of shape and share beyond the threshold, with SciPy's densities: the bounds lie where the best
-    likelihood has fallen by half the quantile of chi square."""
+    """The bounds are at half the chi-square quantile below the best likelihood.
+
+    A fine grid of shape and share beyond the threshold with SciPy's densities is the reference.
+    """
     x, p, limit = np.random.default_rng(seed).normal(size=1000), 0.0027, 4.0
     t = tail_of(x, limit, 1.0 - p, 0.9)
     y, n = np.sort(x[x > t.threshold]) - t.threshold, len(x)
@@ -153,7 +155,7 @@ def _failures(seed: int, runs: int = 3000) -> np.ndarray:
 
 
 def _follows_the_advice(failures: np.ndarray, planned: int | None, judge: Judge) -> bool:
-    """Fly the number of further runs that would settle the verdict, again and again, and stop when it is met."""
+    """Fly the advised number of further runs until the verdict settles; return True if the verdict is met."""
     n = planned or 100
     while n <= len(failures):
         shown = judge(int(failures[n - 1]), n, planned)
@@ -174,7 +176,7 @@ def _any_time_or_as_planned(failures: int, runs: int, planned: int | None) -> s.
 
 @lru_cache(maxsize=4096)
 def _exact_at_every_look(failures: int, runs: int, planned: int | None) -> s.Shown:
-    """The exact binomial test, as if each number of runs had been the only one: the advice leads to a false "met"."""
+    """Return the exact binomial test at a number of runs as if it were the only look, which leads to a false "met"."""
     shown = s.judge_failures(failures, runs, SUCCESS, 1.0 - RISK, runs)
     more = next(n for n in range(runs, 9999) if s.allowed_failures(n, SUCCESS, 1.0 - RISK) >= failures) - runs
     return dataclasses.replace(shown, more=more)
@@ -184,9 +186,7 @@ def _exact_at_every_look(failures: int, runs: int, planned: int | None) -> s.Sho
 @pytest.mark.parametrize("planned", [None, 120], ids=["any-time", "fixed"])
 @pytest.mark.parametrize("user", [_follows_the_advice, _looks_all_the_time])
 def test_whatever_the_user_does_next_the_risk_is_kept(user: User, planned: int | None) -> None:
-    """Check that, for a vehicle that is just not good enough, no more campaigns are ever called met than the confidence
-    allows.
-    """
+    """For a vehicle just below the requirement, no more campaigns end as met than the confidence allows."""
     met = np.mean([user(_failures(k), planned, _any_time_or_as_planned) for k in range(CAMPAIGNS)])
     assert met <= LIMIT
     assert met > 0.02  # and the tests do not keep it by never saying anything
@@ -195,12 +195,12 @@ def test_whatever_the_user_does_next_the_risk_is_kept(user: User, planned: int |
 @pytest.mark.slow
 @pytest.mark.parametrize("user", [_follows_the_advice, _looks_all_the_time])
 def test_the_exact_test_would_not_keep_the_risk(user: User) -> None:
-    """The measurement above can fail."""
+    """The exact test at every look exceeds the risk, so the measurement above can fail."""
     assert np.mean([user(_failures(k), None, _exact_at_every_look) for k in range(100)]) > 0.18
 
 
 def test_looking_all_the_time_rejects_no_good_vehicle_too_often() -> None:
-    """A vehicle that is just good enough: "missed" at any look."""
+    """A vehicle that just meets the requirement is "missed" at any look no more often than the risk allows."""
     wrong = [
         any(s.judge_failures(int(f[n - 1]), n, SUCCESS, 1.0 - RISK).judgement == "missed" for n in range(5, 1500, 40))
         for f in map(_failures, range(600))
@@ -219,7 +219,7 @@ def test_the_confidence_sequence_covers_at_all_times_together() -> None:
 
 
 def test_the_confidence_sequence_ends_where_the_evidence_suffices() -> None:
-    """Either bound by the evidence of its own side; no runs say nothing."""
+    """Each bound follows from the evidence on its own side, and no runs give no bound."""
     for k, n in ((0, 30), (3, 100), (97, 100)):
         low, high = s.confidence_sequence(k, n, 0.9)
         assert low <= k / n <= high
@@ -262,7 +262,7 @@ def test_pareto_fits_are_scipys(shape: float) -> None:
     "law", [stats.expon, *(pytest.param(law, marks=pytest.mark.long) for law in (stats.norm, stats.gumbel_r))]
 )
 def test_tails_cover_what_lies_beyond_the_runs(law: stats.rv_continuous) -> None:
-    """The quantile of 99.73 % and a probability of 1e-4, from 1,000 runs; a bound at 90 % covers in most cases."""
+    """From 1,000 runs, bounds at 90 % for the 99.73 % quantile and a probability of 1e-4 cover in most cases."""
     limit, quantile = float(law.isf(1e-4)), float(law.ppf(0.9973))
     every = [tail_of(law.rvs(size=1000, random_state=k), limit, 0.9973, 0.9) for k in range(25)]
     tails = [t for t in every if not t.problem]
@@ -277,7 +277,7 @@ def test_tails_cover_what_lies_beyond_the_runs(law: stats.rv_continuous) -> None
 
 
 def test_a_censored_fit_and_its_ratio_of_two_tails_are_scipys(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The fit that knows the ten largest values only to be larger, by a search in both parameters of the likelihood."""
+    """A fit censored at the ten largest values equals a search over both parameters of the likelihood."""
     y = np.sort(stats.genpareto.rvs(0.1, scale=2.0, size=100, random_state=8))
     y[-4:] += 12.0
 
@@ -314,7 +314,7 @@ def test_a_tail_states_how_frequent_a_mechanism_without_a_run_may_be() -> None:
 
 @pytest.mark.slow
 def test_two_tails_are_found_as_often_as_the_documentation_says() -> None:
-    """Check ten campaigns of 1,000 runs, 0.4 % of them of a mechanism at ten sigma: 95 % are withheld."""
+    """Fits are withheld in at least seven of ten campaigns of 1,000 runs with a 0.4 % mechanism at ten sigma."""
     flagged = [bool(tail_of(LAWS[TWO].draw(np.random.default_rng(k)), 99.0, 0.9973, 0.9).problem) for k in range(10)]
     assert sum(flagged) >= 7
 
@@ -411,7 +411,7 @@ def test_a_run_beyond_its_limit_is_counted_and_one_without_a_value_too(
 
 @pytest.mark.parametrize("bound", ["limit", "minimum"])
 def test_runs_are_judged_up_to_the_first_gap_and_one_without_a_value_has_failed(bound: str) -> None:
-    """Check six runs: one is below 5, one equals it, two are above it, one has no value; the last came after a gap."""
+    """Six runs have one value below 5, one equal to 5, two above it, and one missing; the last follows a gap."""
     runs = np.array([0, 1, 2, 3, 4, 7])
     level = SimpleNamespace(success=0.9, confidence=0.9)
     data: Any = SimpleNamespace(

@@ -1,10 +1,10 @@
-"""The loop measured in the nonlinear simulator against the exact sampled linear loop.
+"""The loop measured in the nonlinear simulator equals the exact sampled linear loop.
 
-| what | expected |
+| quantity | expected |
 |---|---|
 | frequency response in a held flight, 0.05 to 12 Hz | within 0.2 dB and 1.5 deg, or three standard errors |
-| gain and delay at which the flight begins to grow | the linear loop's margins: 0.05 dB, 1 % of the delay |
-| speed and vehicle of a held flight | stay what they were |
+| gain and delay at which the flight becomes unstable | the linear loop's margins: 0.05 dB, 1 % of the delay |
+| speed and vehicle of a held flight | unchanged |
 """
 
 from __future__ import annotations
@@ -86,7 +86,10 @@ def test_response_in_flight_is_that_of_the_sampled_loop(held, loop: Loop, lines:
 
 @pytest.mark.slow
 def test_gravity_along_the_body_follows_it_and_leaves_its_loop() -> None:
-    """Attitude by SciPy; the loop is that of a vehicle without gravity, which the lowest lines tell from the other."""
+    """With gravity fixed along the body, the attitude is SciPy's and the loop that of a vehicle without gravity.
+
+    The lowest lines distinguish it from the loop with gravity.
+    """
     loaded = load_scenario("nominal")
     node = maxq.nodes(loaded, [TIME_S])[0]
     held, other = hold(loaded, node, along_body=True), hold(loaded, node)
@@ -106,7 +109,7 @@ def test_gravity_along_the_body_follows_it_and_leaves_its_loop() -> None:
 
 @pytest.mark.long
 def test_load_relief_is_certified_where_its_held_flight_topples() -> None:
-    """Accelerometer and second gyro are in the loop: flight and linear loop agree in the lines and in two margins."""
+    """With accelerometer and second gyro in the loop, flight and linear loop agree in the lines and in two margins."""
     loaded = load_scenario("load-relief")
     node = maxq.nodes(loaded, [30.0], plane="yaw")[0]
     assert loaded.design is not None
@@ -135,14 +138,14 @@ def test_growth_of_a_known_oscillation() -> None:
 
 
 def test_growth_of_a_slow_oscillation_beside_a_drift() -> None:
-    """Two periods in a window, and a decaying root of ten times the amplitude."""
+    """Growth is exact for two periods in a window with a decaying root of ten times the amplitude."""
     times = np.arange(100_000) * 0.01
     swing = np.exp(0.002 * times) * np.sin(2 * np.pi * 0.01 * times + 0.3)
     assert growth_rate(swing + 10.0 * np.exp(-0.004 * times), 0.01, 0.01, 200.0) == pytest.approx(0.002, abs=3e-4)
 
 
 def test_growth_changes_with_the_gain_as_a_line_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Check a loop whose critical pole, at 2 rad/s, moves by 0.7/s a dB."""
+    """The slope is that of the pole next to the critical frequency, 2 rad/s, which moves by 0.7/s per dB of gain."""
     bound: Any = SimpleNamespace(value=6.0, frequency_hz=1.0 / np.pi)
 
     def altered(loop: Loop, what: str, amount: float) -> Any:
@@ -153,7 +156,7 @@ def test_growth_changes_with_the_gain_as_a_line_does(monkeypatch: pytest.MonkeyP
 
 
 def test_neither_mean_nor_nyquist_counts_as_noise() -> None:
-    """Both bins are real, and hold the offset and half of a tone; the noise next to the lines gives the error."""
+    """The bins of the mean and of Nyquist, with the offset and half a tone, are excluded from the error."""
     top = LineBand(np.array([45.0, 49.5]), 4.0, 4.0, 1)
     lines = np.round(top.lines_hz * top.period_s).astype(int)
     rng = np.random.default_rng(4)
@@ -169,7 +172,7 @@ def test_neither_mean_nor_nyquist_counts_as_noise() -> None:
 
 
 def test_a_flight_that_ends_a_sample_early_has_no_response() -> None:
-    """Two periods of ten samples after five; a command is read one row later."""
+    """Two periods of ten samples after five need one more row, because a command is read one row later."""
     short = LineBand(np.array([1.0]), period_s=1.0, settle_s=0.5, periods=2)
     rows = np.random.default_rng(4).normal(size=(2, 26))
     assert _spectra(short, 0.1, rows[0, :25], rows[1, :25]) is None
@@ -182,7 +185,7 @@ def test_a_flight_that_ends_a_sample_early_has_no_response() -> None:
 
 
 def test_trials_follow_the_secant_and_stay_between_what_decayed_and_what_grew() -> None:
-    """Growth -1 at 2 dB and +1 at 4 dB: the root of the line; then a secant that would leave the bracket."""
+    """With growth -1 at 2 dB and +1 at 4 dB, the next trial is the root of the secant, inside the bracket."""
     following = measured_margins.following_trial
     assert following([(2.0, -1.0)], 0.5, 10.0, 0.01) == 4.0  # by the slope that is given
     assert following([(2.0, -1.0)], 0.5, 1.5, 0.01) == 3.5  # the largest step

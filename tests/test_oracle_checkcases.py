@@ -1,6 +1,6 @@
-"""Check cases beyond the published ones, against an independent integration from first principles.
+"""Further check cases agree with an independent integration from first principles.
 
-Scenarios are those of scenarios/checkcases; here their vehicles stand a second time, as textbook equations.
+The scenarios are those of scenarios/checkcases; this module contains their vehicles again as textbook equations.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def sphere() -> Body:
 
 
 def brick(earth_rates: bool = False, push=lambda t: NOTHING, twist=lambda t: NOTHING) -> Body:
-    """CD 0.01, Clp = Cmq = Cnr = -1: each moment is q S L C (L rate / 2 V)."""
+    """Return the brick with CD 0.01, Clp = Cmq = Cnr = -1: each moment is q S L C (L rate / 2 V)."""
 
     def loads(t: float, air: Air) -> tuple[Vector, Vector]:
         rate = air.rate_BE_B if earth_rates else air.rate_BI_B
@@ -165,7 +165,7 @@ BURN_1, SEPARATION, IGNITION_2, BURN_2 = 40.0, 45.0, 48.0, 68.0
 
 
 class Stage:
-    """A stage as its vehicle file states it; `clock` counts from the stage's start."""
+    """A stage as in its vehicle file; `clock` counts from the start of the stage."""
 
     def __init__(self, begins, mass_times, mass_rows, thrust_times, thrust, engine, aero, reference):
         self.begins, self.mass_times, self.mass_rows = begins, mass_times, np.array(mass_rows, float)
@@ -174,7 +174,7 @@ class Stage:
         self.aero, self.reference = aero, reference
 
     def props(self, t: float) -> Vector:
-        """mass, CG (station, y, z), Ixx, Iyy, Izz, integrals Ixy, Ixz, Iyz."""
+        """Return mass, CG (station, y, z), Ixx, Iyy, Izz and the integrals Ixy, Ixz, Iyz."""
         first, last = self.mass_times
         share = min(max((t - self.begins - first) / (last - first), 0.0), 1.0)
         return self.mass_rows[0] + share * (self.mass_rows[1] - self.mass_rows[0])
@@ -184,7 +184,7 @@ class Stage:
         return np.array([[xx, -xy, -xz], [-xy, yy, -yz], [-xz, -yz, zz]])
 
     def place(self, t: float, station: float, y: float = 0.0, z: float = 0.0) -> Vector:
-        """Return the vector from the CG to a point of the body, in B."""
+        """Return the vector in B from the CG to a point of the body."""
         _, x_cg, y_cg, z_cg = self.props(t)[:4]
         return np.array([x_cg - station, y - y_cg, z - z_cg])
 
@@ -316,7 +316,7 @@ def test_mass_of_two_stages():
     ],
 )
 def test_two_stages_resolve_what_they_are_for(wrong):
-    """Each of these is a mistake that the comparison must see."""
+    """The comparison detects each of these mistakes."""
     times, states = two_stages_by_the_book()
     found = differences(flown("two-stage", wrong), times, states)
     assert found["position"] > 5e-4 or found["rate"] > 1e-8
@@ -333,7 +333,7 @@ def pull(position: Vector) -> Vector:
 
 
 def attracted(r: Vector, to_inertial: Vector, tensor: Vector) -> Vector:
-    """Return the moment in B of the attraction of six point masses that have this inertia tensor."""
+    """Return the moment in B of the attraction of six point masses with this inertia tensor."""
     moments, axes = np.linalg.eigh(0.5 * np.trace(tensor) * np.eye(3) - tensor)
     out = np.zeros(3)
     for moment, axis in zip(moments, axes.T, strict=True):

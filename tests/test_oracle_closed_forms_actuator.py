@@ -1,7 +1,7 @@
-"""Actuator, gyro and the engine's reaction against closed forms.
+"""Actuator, gyro and engine reaction agree with closed forms.
 
-The actuator is built here a second time, from the transfer function that the paper prints (28), and its step
-response comes from the matrix exponential.
+The actuator is built here again from the transfer function that the paper prints (28). Its step response follows from
+the matrix exponential.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def moving(axis: str, amplitude_deg: float, step_s: float = 0.00025, **actuator:
 
 
 def printed_actuator(omega_hz: list[float], zeta: list[float]) -> tuple[Array, Array, Array]:
-    """A, B and the rows of output, its rate and acceleration of H1 H2 H3 (zero pair 4, pole pair 3)."""
+    """Return A, B and the rows of output, its rate and acceleration of H1 H2 H3 (zero pair 4, pole pair 3)."""
     w = 2.0 * np.pi * np.array(omega_hz)
     quadratics = [np.array([1.0, 2.0 * z * x, x * x]) for x, z in zip(w, zeta, strict=True)]
     below = np.polymul(np.polymul(quadratics[0], quadratics[1]), quadratics[2])
@@ -45,7 +45,7 @@ def printed_actuator(omega_hz: list[float], zeta: list[float]) -> tuple[Array, A
 
 
 def balanced_step(a: Array, b: Array, time_s: float) -> Array:
-    """Return the state after a unit step, with time in units of 1/100 s to condition the companion matrix well."""
+    """Return the state after a unit step; time in units of 1/100 s conditions the companion matrix well."""
     n = len(b)
     scale = np.diag(100.0 ** np.arange(n - 1, -1, -1.0))
     block = np.zeros((n + 1, n + 1))
@@ -56,9 +56,7 @@ def balanced_step(a: Array, b: Array, time_s: float) -> Array:
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("exchanged", [False, True])
 def test_step_response_against_the_matrix_exponential(axis: int, exchanged: bool) -> None:
-    """Angle, rate and acceleration; with a3 and a4 exchanged the zero lies at 52.6 Hz and the pole at 15.6
-    Hz.
-    """
+    """Angle, rate and acceleration agree; with a3 and a4 exchanged, the zero is at 52.6 Hz and the pole at 15.6 Hz."""
     omega, zeta = [5.8, 7.2, 52.6, 15.6], [0.87, 0.49, 0.15, 0.042]
     if exchanged:
         omega, zeta = [5.8, 7.2, 15.6, 52.6], [0.87, 0.49, 0.042, 0.15]
@@ -88,7 +86,7 @@ def modelled(model: str, **more: object) -> dict[str, object]:
 @pytest.mark.parametrize("limits_act_on", ["servo", "engine"])
 @pytest.mark.parametrize("model", MODELS)
 def test_step_response_of_each_model(model: str, limits_act_on: str) -> None:
-    """Below the limits the place of the servo changes nothing: both are the product of the sections."""
+    """Below the limits, both places of the servo have the response of the product of the sections."""
     w, z = 2.0 * np.pi * np.array([5.8, 7.2, 52.6, 15.6]), [0.87, 0.49, 0.15, 0.042]
     quadratics = [np.array([1.0, 2.0 * d * x, x * x]) for x, d in zip(w, z, strict=True)]
     below, above = np.array([1.0]), np.array([1.0])
@@ -112,7 +110,7 @@ def test_step_response_of_each_model(model: str, limits_act_on: str) -> None:
 
 @pytest.mark.parametrize("model", ["fourth-order", "sixth-order"])
 def test_where_the_limits_act(model: str) -> None:
-    """With 30 deg/s at the servo the sections behind it overshoot, to 36 deg/s in order six; at the engine none do."""
+    """With 30 deg/s at the servo, the following sections overshoot to 36 deg/s in order six; at the engine, none do."""
     rates = {}
     for where in ("servo", "engine"):
         made = moving(
@@ -135,7 +133,7 @@ def test_engine_rests_on_its_stop() -> None:
 
 
 def failing(fault: dict[str, object], **actuator: object) -> Rig:
-    """Return a step of 2 deg at the start, and a fault of the pitch actuator."""
+    """Return a step of 2 deg at the start with a fault of the pitch actuator."""
     keys = {"angle_limit_deg": 6.0, "rate_limit_degps": 30.0, **actuator}
     tree = scenario_of(Parts(), injection=command("pitch", STEP_DEG), run={"step_s": 0.0005}, fault=[fault])
     return rig(with_stage(tree, actuator=keys))
@@ -205,7 +203,7 @@ def test_limits_do_nothing_below_them() -> None:
 
 
 def engine_and_servo(made: Rig, duration_s: float, step_s: float) -> tuple[Array, Array]:
-    """Return the angles (samples, 2) of the pitch engine and of its servo at the starts of the steps, rad."""
+    """Return the angles (samples, 2) of the pitch engine and its servo at the start of each step, rad."""
     run, out = made.run(), []
     for _ in range(round(duration_s / step_s)):
         servo = float(made.y[layout.ACTUATOR])
@@ -216,7 +214,7 @@ def engine_and_servo(made: Rig, duration_s: float, step_s: float) -> tuple[Array
 
 
 def test_backlash_is_a_play_behind_the_servo() -> None:
-    """After a step of 2 deg the servo stands at 2 deg, and the engine 0.2 deg behind where the servo has been farthest.
+    """After a step of 2 deg the servo is at 2 deg, and the engine 0.2 deg behind the servo's farthest angle.
 
     The servo's overshoot is exp(-pi zeta / (1 - zeta^2)^1/2).
     """
@@ -232,9 +230,9 @@ def test_backlash_is_a_play_behind_the_servo() -> None:
 
 @pytest.mark.parametrize("share", [0.2, 0.5])
 def test_describing_function_of_the_backlash(share: float) -> None:
-    """Engine over servo at the frequency of a sine, against the play's (Gelb & Vander Velde, 1968, table B.1).
+    """At the frequency of a sine, engine over servo is the describing function of play (Gelb & Vander Velde, 1968).
 
-    Of half a play h behind an amplitude X: in phase (1/pi) (pi/2 + asin u + u sqrt(1 - u^2)), u = 1 - 2 h/X; in
+    For half a play h behind an amplitude X: in phase (1/pi) (pi/2 + asin u + u sqrt(1 - u^2)), u = 1 - 2 h/X; in
     quadrature -(4/pi) (h/X) (1 - h/X): the engine lags.
     """
     hz, step_s = 2.0, 0.001
@@ -257,7 +255,7 @@ def test_describing_function_of_the_backlash(share: float) -> None:
 
 
 def test_play_of_a_tvc_load_is_a_gap_of_its_spring() -> None:
-    """Moment on the hinge over the deflection: none in the gap, then the spring; the damper never pulls."""
+    """The hinge moment is zero in the gap, then that of the spring; the damper never pulls."""
     load = SimpleNamespace(stiffness_Nmprad=[1e5], damping_Nmsprad=[300.0])
     at = getattr(link_moment, "py_func", link_moment)
 
@@ -282,7 +280,7 @@ def test_ideal_actuator_is_its_command() -> None:
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_gyro_step_response(axis: int) -> None:
-    """Second-order step response to a body rate, and its integral, which the converter counts."""
+    """A step of the body rate gives the second-order step response, and its integral is the converter's input."""
     rate = np.zeros(3)
     rate[axis] = 0.05
     made = rig(scenario_of(Parts(), initial={"rate_BI_radps": rate}, run={"step_s": 0.0001}))
@@ -305,9 +303,7 @@ ENGINE = Parts(core_cg=(7.0, 0.0, 0.0), engine_mass_kg=180.0, engine_cg_m=0.4, e
 
 
 def moment_per_angle(made: Rig, axis: int) -> tuple[float, float]:
-    """Angular acceleration about y or z per engine angle and per engine acceleration, at zero angle and
-    rate.
-    """
+    """Return the angular acceleration about y or z per engine angle and acceleration, at zero angle and rate."""
     out = []
     for angle, accel in ((1e-5, 0.0), (0.0, 1e-3)):
         y = made.y.copy()
@@ -317,15 +313,16 @@ def moment_per_angle(made: Rig, axis: int) -> tuple[float, float]:
 
 
 def swing(made: Rig, axis: int, angle_rad: float, accel_radps2: float) -> Array:
-    """Return the actuator states of one axis at an angle and acceleration, without rate."""
+    """Return the actuator states of one axis at an angle and acceleration with zero rate."""
     pick = np.eye(2)[axis]
     return engine_states(made, angle_rad * pick, 0.0 * pick, accel_radps2 * pick)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_tail_wags_dog_zero(axis: int) -> None:
-    """omega^2 = T l_c / (I_E + m_E l_E l_c), I_E about the gimbal (erratum 8), here with thrust acting past
-    the CG that the displaced engine shifts: T l_c + m_E l_E a_x.
+    """omega^2 = T l_c / (I_E + m_E l_E l_c), I_E about the gimbal (erratum 8).
+
+    Here thrust acts past the CG that the displaced engine shifts: T l_c + m_E l_E a_x.
     """
     made = rig(scenario_of(ENGINE))
     still, swinging = moment_per_angle(made, axis)
@@ -343,9 +340,7 @@ def test_tail_wags_dog_zero(axis: int) -> None:
 
 
 def test_tail_wags_dog_bends_the_body() -> None:
-    """Engine acceleration excites a mode with m_E l_E (phi + l_E sigma) + I sigma at the gimbal, to +z and
-    to -y.
-    """
+    """Engine acceleration excites a mode with m_E l_E (phi + l_E sigma) + I sigma at the gimbal, to +z and to -y."""
     mode = Mode(7.0, 500.0, (1.0, 0.4, -0.2, -0.4, 0.5, 1.1), (-0.3, -0.3, -0.2, 0.2, 0.3, 0.3))
     parts = Parts(pitch=(mode,), yaw=(mode,), engine_mass_kg=180.0, engine_cg_m=0.4, engine_inertia_kgm2=20.0)
     made = rig(scenario_of(parts))
@@ -358,7 +353,7 @@ def test_tail_wags_dog_bends_the_body() -> None:
 
 
 def test_play_keeps_the_loop_in_a_limit_cycle() -> None:
-    """Period and peak rate of a rigid body under PD, against a simulation of the same loop in a few lines of Python.
+    """Period and peak rate of a rigid body under PD with play equal those of a short simulation in Python.
 
     Every 1 ms the servo is propagated exactly, the play is applied, and the body moves under the mean of the angle.
     """
@@ -399,7 +394,7 @@ def test_play_keeps_the_loop_in_a_limit_cycle() -> None:
 
 
 def cycle(rates: Array, every_s: float) -> tuple[float, float]:
-    """Return the period and amplitude of the last three cycles."""
+    """Return the mean period and amplitude of the last three cycles."""
     up = np.flatnonzero((rates[:-1] < 0.0) & (rates[1:] >= 0.0))[-4:]
     times = every_s * (up - rates[up] / (rates[up + 1] - rates[up]))
     return float(times[-1] - times[0]) / 3.0, float(np.abs(rates[up[0] : up[-1]]).max())

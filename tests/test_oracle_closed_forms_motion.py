@@ -1,6 +1,4 @@
-"""Flights with a solution on paper: arcs, tops, pendulum, bending oscillator, hold-down, jet damping,
-moving innards.
-"""
+"""Flights agree with closed-form motion: arcs, tops, pendulum, bending, hold-down, jet damping, moving mass."""
 
 from __future__ import annotations
 
@@ -26,7 +24,7 @@ Q = slice(layout.Q_BI, layout.Q_BI + 4)
 
 # --- arcs
 def test_ballistic_arc() -> None:
-    """Uniform gravity, no air: a parabola, which a fourth-order method flies to rounding."""
+    """In uniform gravity without air the path is a parabola, which a fourth-order method flies to rounding."""
     start = {"geodetic": {"latitude_deg": 0.0, "longitude_deg": 0.0, "altitude_m": 1000.0}}
     start |= {"ned_mps": [120.0, -30.0, -250.0], "rate_BI_degps": [10.0, 5.0, -8.0]}
     made = rig(scenario_of(BARE, earth={"gravity": "uniform", "uniform_mps2": 9.7}, initial=start))
@@ -54,7 +52,7 @@ def kepler(r: Array, v: Array, mu: float, time_s: float) -> tuple[Array, Array]:
 
 
 def test_kepler_arc() -> None:
-    """Inverse-square field of a round Earth: 400 s of a suborbital ellipse, apogee included."""
+    """In the inverse-square field of a round Earth, 400 s of a suborbital ellipse agree, including apogee."""
     mu = 3.986004418e14
     r, v = np.array([4.0e6, -3.0e6, 4.1e6]), np.array([2500.0, 1800.0, 3000.0])
     tree = scenario_of(
@@ -79,9 +77,7 @@ def top(inertia: tuple[float, float, float], rate: Array, step_s: float = 0.001)
 
 
 def test_torque_free_symmetric_top() -> None:
-    """Body cone: the transverse rate turns with (1 - Ix/It) p; space cone: the axis turns about H with
-    |H|/It.
-    """
+    """The transverse rate turns with (1 - Ix/It) p (body cone), and the axis about H with |H|/It (space cone)."""
     a, t = 800.0, 2000.0
     w0 = np.array([3.0, 0.4, -0.3])
     made = top((a, t, t), w0)
@@ -103,7 +99,7 @@ def test_torque_free_symmetric_top() -> None:
 
 
 def test_torque_free_asymmetric_top() -> None:
-    """Jacobi's elliptic functions (Landau & Lifshitz, Mechanics, section 37), near the separatrix."""
+    """Rates equal Jacobi's elliptic functions (Landau & Lifshitz, Mechanics, section 37) near the separatrix."""
     i_1, i_2, i_3 = 900.0, 1500.0, 2000.0
     w0 = np.array([0.6, 0.0, 0.8])
     twice_energy = i_1 * w0[0] ** 2 + i_3 * w0[2] ** 2
@@ -119,8 +115,9 @@ def test_torque_free_asymmetric_top() -> None:
 
 
 def test_spin_does_not_drift() -> None:
-    """A peer's default integrator drifts 2.5 degrees in 30 s of torque-free spin; ours 1e-6 at its default
-    step.
+    """In 30 s of torque-free spin the drift is 1e-6 deg at the default step.
+
+    The default integrator of another simulator drifts by 2.5 deg.
     """
     for rate in (np.array([2.0 * math.pi, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -2.0])):
         made = top((800.0, 1500.0, 2000.0), rate)
@@ -138,7 +135,7 @@ def test_spin_does_not_drift() -> None:
 
 # --- pendulum
 def hanging(amplitude_rad: float, mass_kg: float = 1.0e-4, step_s: float = 0.001) -> Rig:
-    """A bob in a vehicle too heavy to notice it, pushed along x with 20 m/s2; let go at an angle."""
+    """Return a bob in a vehicle of much larger mass under 20 m/s2 along x, released at an angle."""
     parts = Parts(
         core_mass_kg=1.0e7,
         core_inertia=tuple(map(tuple, np.diag([1.0e11, 1.0e11, 1.0e11]))),
@@ -153,7 +150,7 @@ def hanging(amplitude_rad: float, mass_kg: float = 1.0e-4, step_s: float = 0.001
 
 @pytest.mark.parametrize("amplitude_deg", [5.0, 60.0, 120.0, 170.0])
 def test_pendulum_period_at_any_amplitude(amplitude_deg: float) -> None:
-    """T = 4 sqrt(L / a) K(sin^2(amplitude / 2)): the bob is back at rest where it was let go."""
+    """After T = 4 sqrt(L / a) K(sin^2(amplitude / 2)), the bob is at rest again at its start."""
     amplitude = math.radians(amplitude_deg)
     made = hanging(amplitude)
     period = 4.0 * math.sqrt(0.5 / 20.0) * ellipk(math.sin(amplitude / 2.0) ** 2)
@@ -170,7 +167,7 @@ def test_pendulum_period_at_any_amplitude(amplitude_deg: float) -> None:
 
 
 def test_small_pendulum_decays_with_its_damping_ratio() -> None:
-    """At a small angle a damped oscillator with omega^2 = a / L."""
+    """At a small angle the pendulum is a damped oscillator with omega^2 = a / L."""
     made = hanging(1e-4)
     made.vehicle.slosh.damping_ratio[0] = 0.1
     omega = math.sqrt(20.0 / 0.5)
@@ -184,7 +181,7 @@ def test_small_pendulum_decays_with_its_damping_ratio() -> None:
 
 
 def test_pendulum_frequency_in_a_light_vehicle() -> None:
-    """Hinge at the CG of a core that cannot turn: omega^2 = T / M / L (1 + m / m_core)."""
+    """With the hinge at the CG of a core that cannot turn, omega^2 = T / M / L (1 + m / m_core)."""
     core, bob, length, push = 1000.0, 400.0, 0.8, 3.0e4
     parts = Parts(
         core_mass_kg=core,
@@ -221,7 +218,7 @@ def test_one_damped_mode(plane: str) -> None:
 
 
 def test_axial_load_takes_stiffness_by_the_closed_form() -> None:
-    """A constant slope makes int m phi'^2 dx a sum of trapezia; compression softens both planes."""
+    """For a constant slope, int m phi'^2 dx is a sum of trapezia; compression softens both planes."""
     slope, stations = -0.25, (0.0, 3.0, 5.0, 10.0, 12.0, 14.0)
     mode = Mode(7.0, 500.0, tuple(slope * x for x in stations), (slope,) * 6)
     parts = Parts(pitch=(mode,), yaw=(mode,), thrust_N=1.0e5)
@@ -239,9 +236,7 @@ def test_axial_load_takes_stiffness_by_the_closed_form() -> None:
 
 # --- on the pad
 def test_hold_down_statics() -> None:
-    """Held on a turning Earth: it stays where it stands, feels its weight, bobs hang still, modes bend
-    statically.
-    """
+    """On a turning Earth the held vehicle stays in place with its weight, bobs at rest and static bending."""
     parts = Parts(
         tanks=(Tank(400.0, 0.5, 5.0),),
         pitch=(ONE_MODE,),
@@ -306,7 +301,7 @@ def _softening_column(made: Rig) -> int:
 
 # --- outflow
 def burning(rows: list[dict[str, float]], rate: Array) -> Rig:
-    """An engine that gives no thrust but lets mass flow, as the table says."""
+    """Return an engine without thrust, with the mass flow of a table."""
     tree = scenario_of(replace(BARE, engine=True), initial={"rate_BI_radps": rate})
     tree = with_stage(tree, interpolation="linear")
     stage = dict(tree["vehicle"]["stage"][0])
@@ -322,7 +317,7 @@ def row(time_s: float, mass_kg: float, x_cg_m: float, inertia: tuple[float, floa
 
 @pytest.mark.parametrize("axis", [1, 2])
 def test_jet_damping_of_a_rocket_with_constant_mass_flow(axis: int) -> None:
-    """I(t) w' = -(I' + mdot l^2) w with I linear in time: w = w0 (I / I0)^-(1 + mdot l^2 / I')."""
+    """With I linear in time, I(t) w' = -(I' + mdot l^2) w gives w = w0 (I / I0)^-(1 + mdot l^2 / I')."""
     rate = np.zeros(3)
     rate[axis] = 0.2
     rows = [row(0.0, 4000.0, 7.0, (900.0, 5.0e4, 5.0e4)), row(20.0, 2000.0, 7.0, (700.0, 3.0e4, 3.0e4))]
@@ -337,9 +332,7 @@ def test_jet_damping_of_a_rocket_with_constant_mass_flow(axis: int) -> None:
 
 
 def test_jet_damping_force_on_a_turning_rocket() -> None:
-    """Coriolis force of the flow from CG to exit: -2 w x mdot r_exit; nothing in roll about the nozzle's
-    own axis.
-    """
+    """The Coriolis force of the flow from CG to exit is -2 w x mdot r_exit, without roll about the nozzle's axis."""
     rows = [row(0.0, 4000.0, 7.0, (900.0, 5.0e4, 5.0e4)), row(20.0, 2000.0, 7.0, (900.0, 5.0e4, 5.0e4))]
     made = burning(rows, np.array([0.3, 0.2, -0.1]))
     made.derivative(made.y)
@@ -351,9 +344,7 @@ def test_jet_damping_force_on_a_turning_rocket() -> None:
 
 
 def test_innards_that_shift_conserve_momentum() -> None:
-    """No outflow, but the CG wanders and the inertia changes: the CG flies straight on, the angular
-    momentum stays.
-    """
+    """Without outflow, the CG flies straight and angular momentum is constant while CG station and inertia change."""
     rows = [row(0.0, 4000.0, 7.0, (1900.0, 5.0e4, 5.1e4)), row(20.0, 4000.0, 6.0, (2200.0, 4.0e4, 4.1e4))]
     made = burning(rows, np.array([0.5, 0.3, -0.2]))
     made.y[3:6] = [1.0, -2.0, 3.0]

@@ -1,4 +1,4 @@
-"""Several engines against Newton's and Euler's laws, written body by body, and against one engine of n-fold size.
+"""Several engines agree with Newton's and Euler's laws body by body, and with one engine of n-fold size.
 
 The oracle sums momentum and angular momentum of the core without engines and of each engine. It contains no equivalent
 engines, no mass matrix of docs/model.md (7.1), and no workspace of the kernels.
@@ -66,7 +66,7 @@ def with_engines(parts: Parts, engines: list[Tree], **more: Any) -> Rig:
 
 
 def moving(made: Rig, seed: int, rate: float = 0.6) -> Array:
-    """Return a state with all actuators in motion, equal within a plane if `seed` is even."""
+    """Return a state with all actuators in motion; motions are equal within a plane if `seed` is even."""
     rng = np.random.default_rng(seed)
     y = made.y.copy()
     y[layout.W_BI_B : layout.W_BI_B + 3] = rate * rng.normal(size=3)
@@ -82,7 +82,7 @@ def moving(made: Rig, seed: int, rate: float = 0.6) -> Array:
 
 
 def motions(made: Rig, given: list[Tree]) -> list[tuple[Array, ...]]:
-    """Thrust axis at rest and now, its two derivatives, and what it changes by per pitch and yaw, of each engine."""
+    """Return each engine's thrust axis at rest and now, its two derivatives, and its change per pitch and yaw."""
     dp, dy, t = (sp.Function("dp"), sp.Function("dy"), sp.Symbol("t"))
     axis = sp.Matrix([sp.cos(dp(t)) * sp.cos(dy(t)), -sp.sin(dy(t)), sp.sin(dp(t)) * sp.cos(dy(t))])
     names = sp.symbols("p p1 p2 y y1 y2")
@@ -110,7 +110,7 @@ def motions(made: Rig, given: list[Tree]) -> list[tuple[Array, ...]]:
 
 
 def newton_euler(made: Rig, given: list[Tree], w: Array) -> tuple[Array, Array]:
-    """Return the specific force at the core CG and angular acceleration, from the sums over all bodies."""
+    """Return the specific force at the core CG and the angular acceleration, from sums over all bodies."""
     x, y, z = PARTS.core_cg
     rest = []
     for e, (d0, *_) in zip(given, motions(made, given), strict=True):
@@ -130,7 +130,7 @@ def newton_euler(made: Rig, given: list[Tree], w: Array) -> tuple[Array, Array]:
     skew = lambda r: np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])  # noqa: E731  # a formula
 
     def body(m: float, r: Array, v: Array, a: Array) -> None:
-        """A mass at r that moves with v, a relative to the body."""
+        """Add a mass at r that moves with v and a relative to the body."""
         accel = a + 2.0 * np.cross(w, v) + np.cross(w, np.cross(w, r))
         matrix[:3, :3] += m * np.eye(3)
         matrix[:3, 3:] -= m * skew(r)
@@ -176,9 +176,10 @@ def test_unlike_engines_obey_newton_and_euler_body_by_body(seed: int, loads: lis
 
 
 def check_hinges(made: Rig, y: Array, w: Array, accel: Array, alpha: Array, bend: list[tuple[Array, Array]]) -> None:
-    """D'Alembert of each engine on its load: the work of its inertia on a turn about the hinge is the hinge moment's.
+    """Check each engine on its load: the work of its inertia on a turn about the hinge equals that of the hinge moment.
 
-    `bend`: acceleration and angular acceleration of the gimbal by the modes. Thrust goes through the gimbal: no work.
+    `bend`: acceleration and angular acceleration of the gimbal due to the modes. Thrust acts through the gimbal and
+    does no work.
     """
     x, cg_y, cg_z = PARTS.core_cg
     states = y[int(layout.tvc_load_index(made.sizes)) :].reshape(-1, 2, 3)
@@ -210,7 +211,7 @@ def check_hinges(made: Rig, y: Array, w: Array, accel: Array, alpha: Array, bend
 @pytest.mark.slow
 @pytest.mark.parametrize("loads", [[], LOADS], ids=["locked", "swinging"])
 def test_loads_on_the_modes_are_the_virtual_work_of_thrust_and_reaction(loads: list[Tree]) -> None:
-    """At rest and straight: each force times the displacement that a mode gives its point."""
+    """At rest and straight, the modal load is each force times the modal displacement of its point."""
     made = with_engines(BENT, UNLIKE, **({"tvc_load": loads} if loads else {}))
     y = moving(made, 5, rate=0.0)
     dy = made.derivative(y)
@@ -262,7 +263,7 @@ def test_n_engines_on_the_axis_are_one_of_n_fold_size(seed: int) -> None:
 
 @pytest.mark.slow
 def test_engines_that_move_together_are_taken_together_exactly() -> None:
-    """A ring in one group is one engine for the kernels; with a misalignment of nothing worth each is its own."""
+    """A ring in one group is one engine for the kernels; with a negligible misalignment each engine is separate."""
     places = [[0.6 * np.cos(a), 0.6 * np.sin(a) + 0.1] for a in np.arange(5) * 1.2566]
     together = with_engines(BENT, [engine(offset_m=place) for place in places])
     apart = [engine(offset_m=place, misalignment_deg=[1e-14 * k, 0.0]) for k, place in enumerate(places)]
@@ -274,7 +275,7 @@ def test_engines_that_move_together_are_taken_together_exactly() -> None:
 
 @pytest.mark.slow
 def test_four_engines_make_a_roll_couple() -> None:
-    """Tangential deflections delta at radius R: M_x = 4 T R sin(delta), no force across, no other moment."""
+    """Tangential deflections delta at radius R give M_x = 4 T R sin(delta), no lateral force and no other moment."""
     radius, angle = 0.8, 0.05
     ring = [(radius, 0.0), (0.0, radius), (-radius, 0.0), (0.0, -radius)]
     core = replace(PARTS, core_cg=(7.0, 0.0, 0.0), core_inertia=((900.0, 0.0, 0.0), (0.0, 5e4, 0.0), (0.0, 0.0, 5e4)))

@@ -1,6 +1,6 @@
-"""The linear model of a cluster equals the linearised simulator: nine engines, canted, in groups, at two stations.
+"""The linear model of a cluster of nine engines (canted, in groups, at two stations) equals the linearised simulator.
 
-Both planes; what the law commands goes through the allocation's columns. The two share the packed tables only.
+Both planes are tested, with commands through the columns of the allocation. The two share only the packed tables.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ FREQUENCIES_HZ = np.geomspace(0.05, 50.0, 61)
 
 
 def cluster(cant_deg: float, *more: str) -> Packed:
-    """The ring canted outwards, the engines in groups of opposite ones, the middle one further forward and heavier."""
+    """Return the ring canted outwards, opposite engines grouped, the centre engine further forward and heavier."""
     path = np.radians(PATH_DEG)
     velocity = [float(SPEED_MPS * np.cos(path)), 0.0, float(-SPEED_MPS * np.sin(path))]
     changes = [
@@ -83,7 +83,7 @@ def follow_of(packed: Packed) -> tuple[Array, Array]:
 
 
 def together(model, follow: Array):
-    """The same with the actuators of each further group at the multiples `follow` (groups, 2) of the first's."""
+    """Return the model with the actuators of further groups at multiples `follow` (groups, 2) of the first's."""
     a, c, first = model.a.copy(), model.c.copy(), model.states.index("actuator_pitch_1")
     for group, multiples in enumerate(follow):
         theirs = model.states.index(f"group_{group + 1}_actuator_pitch_1")
@@ -108,7 +108,7 @@ LOST = "fault=[{kind='engine-off',engine=1,at_s=20.0}]"
 @pytest.mark.slow
 @pytest.mark.parametrize(("cant_deg", "fault"), [(0.0, ()), (5.0, ()), (0.0, (LOST,)), (5.0, (LOST,))])
 def test_plant_of_a_cluster_is_the_linearised_simulator(cant_deg: float, fault: tuple[str, ...]) -> None:
-    """With an engine of the diagonal off as well: there between the rows of the mass table."""
+    """The plant agrees, also with a diagonal engine off between the rows of the mass table."""
     packed = cluster(cant_deg, *fault)
     sizes = packed.parameters[0].vehicle.sizes
     assert (int(sizes.further_groups), int(sizes.gimbals)) == (2, 2)
@@ -163,7 +163,7 @@ SOME = (
 
 
 def command_to_gyro(packed: Packed, y: Array, plane: str) -> tuple[Array, Array]:
-    """Return the responses at FREQUENCIES_HZ: the simulator's over all its states, and the loop's fixed path."""
+    """Return the responses at FREQUENCIES_HZ of the simulator with all its states, and of the loop's fixed path."""
     model, axis = linearise(packed, y, TIME_S), int(plane == "yaw")
     gains = follow_of(packed)[0]
     drive = sum(gain[axis] * model.b[:, 2 * group + axis] for group, gain in enumerate(gains))
@@ -180,7 +180,7 @@ def command_to_gyro(packed: Packed, y: Array, plane: str) -> tuple[Array, Array]
 @pytest.mark.slow
 @pytest.mark.parametrize(("cant_deg", "more"), [(0.0, [UNLIKE]), (5.0, [UNLIKE]), (0.0, [UNLIKE, SOME])])
 def test_unlike_actuators_and_loads_by_group(cant_deg: float, more: list[str]) -> None:
-    """Three groups with actuators of order two, four and six, two of them on a TVC load."""
+    """Three groups with actuators of order two, four and six agree, two of them on a TVC load."""
     packed = cluster(cant_deg, *more)
     assert int(packed.parameters[0].vehicle.sizes.tvc_loads) == (2 if SOME in more else 0)
     for plane in ("pitch", "yaw"):
@@ -198,7 +198,7 @@ def test_unlike_actuators_and_loads_by_group(cant_deg: float, more: list[str]) -
     ],
 )
 def test_engines_and_actuators_that_deviate_each_by_itself(off: dict[int, float], low: float, high: float) -> None:
-    """Thrusts of single engines and actuators of single groups, flown by the simulator under the same allocation."""
+    """Thrusts of single engines and actuators of single groups deviate, and the simulator flies the same allocation."""
     omega, groups = (5.8, 7.2, 52.6), {"a": 1.12, "b": 0.9, "middle": 1.05}
 
     def actuators(factors: dict[str, float]) -> str:
@@ -224,7 +224,7 @@ def test_engines_and_actuators_that_deviate_each_by_itself(off: dict[int, float]
 
 @pytest.mark.slow
 def test_what_the_other_axes_do_to_one_plane_after_an_engine_has_gone() -> None:
-    """Its coefficients are exact (above); roll and the other plane join in by as much as docs/model.md, 14, says."""
+    """The coefficients of a plane are exact; roll and the other plane couple as docs/model.md, 14, states."""
     packed = cluster(0.0, LOST)
     apart = []
     for plane in ("pitch", "yaw"):
@@ -238,7 +238,7 @@ def test_what_the_other_axes_do_to_one_plane_after_an_engine_has_gone() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("frequency_hz", [12.0, 120.0])
 def test_canted_engines_on_loads_hang_under_the_axial_load(frequency_hz: float) -> None:
-    """Their sag, S a sin(cant) / k, moves thrust, mass and CG: it is 4e-4 of the response at 5 deg on 12 Hz."""
+    """The sag S a sin(cant) / k moves thrust, mass and CG: 4e-4 of the response at 5 deg on 12 Hz."""
     packed = cluster(5.0, f"vehicle.stage.0.tvc_load={{frequency_hz={frequency_hz},damping_ratio=0.03}}")
     sizes, y = packed.parameters[0].vehicle.sizes, packed.state.copy()
     assert int(sizes.tvc_loads) == 9
@@ -255,7 +255,7 @@ def test_canted_engines_on_loads_hang_under_the_axial_load(frequency_hz: float) 
 
 @pytest.mark.parametrize("stiffness_Nmprad", [1e7, 3e5, 2e4])
 def test_sag_of_a_mount_of_any_stiffness_is_where_the_moments_balance(stiffness_Nmprad: float) -> None:
-    """Found by SciPy from the potential k |angle|^2 / 2 - S a cos p cos y; the softest hangs nearly straight."""
+    """SciPy finds the sag from the potential k |angle|^2 / 2 - S a cos p cos y, also for a very soft mount."""
     axis = (np.cos(0.1) * np.cos(0.06), -np.sin(0.06), np.sin(0.1) * np.cos(0.06))
     engine = GimballedEngine(
         1e5,
@@ -294,8 +294,9 @@ def test_sag_of_a_mount_of_any_stiffness_is_where_the_moments_balance(stiffness_
 def test_engines_on_their_compliance_feel_rates_and_others_accelerations(
     swinging: tuple[bool, ...], gains: tuple[float, ...], felt: tuple[int, ...]
 ) -> None:
-    """Check the inputs by a drive's angle; an engine that is fixed in the plane has neither. `felt`: orders of the
-    derivatives.
+    """The inputs by a drive's angle are complete; an engine fixed in the plane has none of them.
+
+    `felt`: the orders of the derivatives.
     """
     each = zip(swinging, gains, strict=True)
     engines = [SimpleNamespace(drive=0, tvc_load=object() if swings else None, gain=gain) for swings, gain in each]

@@ -1,4 +1,4 @@
-"""Commanded angles against the integral of the commanded rates by scipy's own piecewise polynomials."""
+"""Commanded angles equal SciPy's integrals of the commanded rates as piecewise polynomials."""
 
 from __future__ import annotations
 

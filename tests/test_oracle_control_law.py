@@ -1,6 +1,6 @@
-"""The PD law in closed loop with a double integrator, against closed forms.
+"""The PD law in closed loop with a double integrator agrees with closed forms.
 
-| what | oracle |
+| quantity | oracle |
 |---|---|
 | command of given angle and rate | eq 33 by hand |
 | sampled flight, every sample | powers of the closed loop's matrix, written down separately |
@@ -45,7 +45,7 @@ def tick(flown: Any, time_s: float, increment_rad: Array, gimbal_rad: Array | No
 
 
 def fly(axis: int, sample_ns: int, duration_s: float, **more: Any) -> Array:
-    """Return the angles, rad, at the samples of q' = M_delta delta, starting at 0 with 0.1 rad/s; commands are held."""
+    """Return the angles, rad, at the samples of q' = M_delta delta with held commands, from 0 rad and 0.1 rad/s."""
     flown = computer_of(sample_ns, constant(), **more)
     sample_s = sample_ns / 1e9
     angle, rate, delta, angles = 0.0, 0.1, 0.0, [0.0]
@@ -62,7 +62,7 @@ def fly(axis: int, sample_ns: int, duration_s: float, **more: Any) -> Array:
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", [PITCH, YAW])
 def test_sampled_closed_loop(axis: int) -> None:
-    """z_k = (theta, q, theta of the sample before); delta_k = -k_p theta - k_d (theta - theta before)/T."""
+    """The state is z_k = (theta, q, previous theta); delta_k = -k_p theta - k_d (theta - previous theta)/T."""
     t = 0.01
     feedback = np.array([-K_P - K_D_S / t, 0.0, K_D_S / t])
     free = np.array([[1.0, t, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])

@@ -1,4 +1,4 @@
-"""Draws that go together: marginal distributions by SciPy, rank correlation of the Gaussian copula in closed form."""
+"""Correlated draws have SciPy's marginal distributions and the closed-form rank correlation of the Gaussian copula."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def campaign(folder: Path, old: str = "", new: str = "") -> LoadedCampaign:
 
 
 def test_draws_keep_their_distributions_and_have_the_rank_correlation_of_their_scores(tmp_path: Path) -> None:
-    """Spearman's rho of normal scores with correlation r is 6/pi asin(r/2) (Kruskal 1958); known to 0.01 of 10,000."""
+    """Spearman's rho of normal scores with correlation r is 6/pi asin(r/2) (Kruskal 1958), to 0.01 for 10,000."""
     drawn = campaign(tmp_path).plan.draw(0, 10_000)
     thrust, force, length = (np.array(column) for column in drawn.recorded.values() if isinstance(column[0], float))
     assert stats.kstest(thrust, stats.uniform(0.9, 0.2).cdf).pvalue > 0.01
@@ -59,7 +59,7 @@ def test_draws_keep_their_distributions_and_have_the_rank_correlation_of_their_s
 
 
 def test_a_run_has_its_draws_alone_and_by_its_scores(tmp_path: Path) -> None:
-    """The symmetric root mixes independent scores: SciPy's quantiles of z = sqrt(R) v."""
+    """The symmetric root mixes independent scores: a run alone has SciPy's quantiles of z = sqrt(R) v."""
     found = campaign(tmp_path)
     alone, many = found.plan.draw(7, 1).recorded, found.plan.draw(0, 20).recorded
     assert {name: values[0] for name, values in alone.items()} == {name: values[7] for name, values in many.items()}
@@ -90,7 +90,7 @@ def test_pairs_that_cannot_be_are_refused(tmp_path: Path, old: str, new: str, sa
 
 
 def test_damping_factor_scales_all_damping_of_a_tank() -> None:
-    """The ratio of the pendulum, and what walls and rings add."""
+    """The factor scales the damping ratio of the pendulum and the contributions of walls and rings."""
     records = []
     for factor in (1.0, 1.5):
         flown = load_scenario("ksr3-ringed", [f"vehicle.stage.0.tank.0.damping_factor={factor}"])

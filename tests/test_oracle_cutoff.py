@@ -1,4 +1,4 @@
-"""Cutoffs at a speed or an apogee, the launch rail and the clearance to a tower, against closed forms.
+"""Cutoffs at a speed or an apogee, the launch rail and the clearance to a tower agree with closed forms.
 
 Flat or spherical Earths without air, constant thrust. The instant of a cutoff is extrapolated over at most 1.5 samples
 of 10 ms, hence the error of a quantity q is at most 1.5^2 samples^2 q'' / 2.
@@ -73,7 +73,7 @@ del SPACE["earth"]["uniform_mps2"]
 
 
 def in_space(speed_mps: float, more: Tree, **stage: object) -> Flight:
-    """Return a flight north from 100 m/s without gravity, with thrust along it up to a given inertial speed."""
+    """Return a flight north from 100 m/s without gravity, with thrust along it up to an inertial speed."""
     changes: Tree = {
         "initial": {"euler_deg": [0.0, 0.0, 0.0], "ned_mps": [100.0, 0.0, 0.0]},
         "guidance": {"cutoff": {"inertial_speed_mps": speed_mps}},
@@ -127,7 +127,7 @@ def test_inertial_speed_includes_the_rotation_and_apogee_is_where_the_flight_tur
 
 @pytest.mark.parametrize("factor", [0.0, 1.0, 1.5])
 def test_thrust_decays_after_a_cutoff_that_allows_for_it(factor: float) -> None:
-    """The cutoff is 1 s before the speed is reached with full thrust: a decay of 2 s gives half of its impulse."""
+    """A cutoff that allows for a decay of 2 s, which gives half of its impulse, is 1 s before that of full thrust."""
     flight = in_space(500.0, {}, cutoff_decay_s=2.0, cutoff_decay_factor=factor)
     cutoff_s = 400.0 / ACCEL - 1.0
     assert flight.event_s("burnout") == pytest.approx(cutoff_s + 2.0 * factor, abs=1e-8)
@@ -141,7 +141,7 @@ def test_thrust_decays_after_a_cutoff_that_allows_for_it(factor: float) -> None:
 
 @pytest.mark.parametrize("decay_s", [0.0, 0.2])
 def test_thrust_decays_beyond_the_burnout_and_does_not_return_after_a_separation(decay_s: float) -> None:
-    """From 100 m/s to 104 m/s in 0.2 s; with the decay the cutoff is at 0.1 s, and the propellant would end at 0.22 s.
+    """From 100 to 104 m/s in 0.2 s, the decay moves the cutoff to 0.1 s; the propellant would last until 0.22 s.
 
     At 0.25 s a stage begins whose thrust would decay within 2 s.
     """
@@ -204,7 +204,7 @@ def test_a_rail_turns_with_the_earth() -> None:
 
 
 def test_a_vehicle_that_does_not_leave_its_rail_slides_back() -> None:
-    """Thrust for 1 s, then a slide to the pad without friction: both along the rail, with g sin(elevation)."""
+    """After 1 s of thrust the vehicle slides back without friction, both along the rail with g sin(elevation)."""
     burn = {"engine": {"table": {"time_s": [0.0, 1.0, 1.0001], "thrust_vacuum_N": [THRUST_N, THRUST_N, 0.0]}}}
     rail = {"length_m": 50.0, "elevation_deg": 70.0}
     short = {
@@ -222,7 +222,7 @@ def test_a_vehicle_that_does_not_leave_its_rail_slides_back() -> None:
 
 
 def test_clearance_and_drift_at_a_tower() -> None:
-    """A side force F at the CG: the tail is F / (T - m g) of its height off the pad."""
+    """Under a side force F at the CG, the tail moves sideways by F / (T - m g) of its height above the pad."""
     side, height, distance = 900.0, 30.0, 4.0
     push = [{"at": "body_force", "axis": "z", "kind": "step", "amplitude_N": side}]
     tower = {"distance_m": distance, "azimuth_deg": 90.0, "height_m": height, "radius_m": 0.4, "vehicle_radius_m": 0.7}

@@ -1,10 +1,10 @@
-"""The loop of the frequency domain against other ways to the same answer.
+"""The loop in the frequency domain agrees with other methods.
 
-| what | against |
+| quantity | against |
 |---|---|
 | sampled path | the continuous one with exact factors and all its images, summed (Poisson) |
 | sampled path | the difference equation solved frequency by frequency; python-control's zero-order hold |
-| sampled loop, closed | the flight computer's own kernels round a plant integrated between samples |
+| sampled loop, closed | the flight computer's kernels with a plant integrated between samples |
 | sampled loop | the simulator's numerically linearised equations under the same computer |
 | sampled loop, closed | a flight of the simulator with a kick at the gimbal, less one without |
 | Pade loop | the product of its factors as printed; python-control |
@@ -94,7 +94,7 @@ def test_sampled_path_solves_its_difference_equation(time_s: float) -> None:
 
 
 def test_sampling_without_delay_is_the_zero_order_hold() -> None:
-    """Increments of the sampled integral over T: python-control integrates and samples, we take differences."""
+    """Increments of the sampled integral over T equal differences of python-control's integrated, sampled path."""
     node = node_at(40.0)
     chain, period = SampledFixedPath(node).continuous, node.instruments.sample_s
     plant = control.StateSpace(chain.a, chain.b, chain.c, chain.d)
@@ -147,7 +147,7 @@ def test_python_control_agrees(time_s: float, kind: str) -> None:
 @pytest.mark.parametrize("kind", ["sampled", "pade", "exact"])
 @SOME_NODES
 def test_closed_poles_are_where_the_loop_is_minus_one(time_s: float, kind: str) -> None:
-    """And there are as many unstable ones as the encirclements of -1 say."""
+    """L is -1 at the closed-loop poles, and the number of unstable ones equals the encirclements of -1."""
     node = node_at(time_s)
     loop = maxq.loop(node, design(), kind=kind)
     poles = loop.closed_poles()
@@ -165,7 +165,7 @@ def test_closed_poles_are_where_the_loop_is_minus_one(time_s: float, kind: str) 
 
 
 def encirclement_count(loop: Loop) -> int:
-    """Unstable closed-loop poles from the turning of 1 + L along a dense grid, and the open loop's unstable poles."""
+    """Return the unstable closed-loop poles from the winding of 1 + L and the unstable open-loop poles."""
     highest = min(loop.highest_hz, 2000.0)
     grid = [np.geomspace(1e-5, highest, 4000)]
     for r in loop.fixed.resonances():
@@ -192,7 +192,7 @@ def test_open_poles_are_those_of_the_state_matrix(time_s: float) -> None:
 
 @pytest.mark.parametrize("time_s", [5.0, 55.0])
 def test_resonances_are_exact(time_s: float) -> None:
-    """At the peak of every mode, against arithmetic with 50 digits on the same vehicle."""
+    """At the peak of every mode, the response equals arithmetic with 50 digits on the same vehicle."""
     path = PadeFixedPath(node_at(time_s))
     body = path.vehicle
     mpmath.mp.dps = 50
@@ -226,7 +226,7 @@ def _instruments_at(path: PadeFixedPath, s: complex) -> complex:
 @pytest.mark.parametrize("delay_s", [0.0, 0.003, 0.01])
 @SOME_NODES
 def test_closed_loop_is_that_of_the_flight_computer(time_s: float, delay_s: float) -> None:
-    """The computer's kernels, ticked round a plant that is integrated exactly between their samples."""
+    """The closed loop equals the computer's kernels with a plant that is integrated exactly between samples."""
     node = node_at(time_s)
     node = dataclasses.replace(node, instruments=dataclasses.replace(node.instruments, delay_s=delay_s))
     loop = maxq.loop(node, design(), kind="sampled")
@@ -280,7 +280,7 @@ def _fly_computer(node: Node, loop: Loop, samples: int, kick: float) -> Array:
 # --- the simulator
 @SOME_NODES
 def test_sampled_path_of_the_linearised_simulator(time_s: float) -> None:
-    """The simulator's own derivative, linearised numerically, in place of the model's plant."""
+    """The path equals that of the simulator's derivative, linearised numerically."""
     loaded, node = frozen(time_s)
     packed = pack_flight(loaded.scenario)
     model = linearise(packed, packed.state, time_s)
@@ -300,9 +300,9 @@ def test_sampled_path_of_the_linearised_simulator(time_s: float) -> None:
 
 @pytest.mark.parametrize("time_s", [40.0])
 def test_a_kick_in_flight_moves_the_computer_as_the_loop_says(time_s: float) -> None:
-    """Two flights of the simulator, one kicked at the gimbal for one sample: the difference of their commands.
+    """A kick of one sample at the gimbal changes the commands of a flight as the loop predicts.
 
-    In half a second the flight speeds up by some 4 %, which is what the tolerance is for.
+    In half a second the flight accelerates by some 4 %, which the tolerance covers.
     """
     _, node = frozen(time_s)
     kick_deg = 0.01
@@ -327,7 +327,7 @@ def test_scenario_names_and_files_give_the_same_loop() -> None:
 
 
 def test_zeros_are_those_of_the_transfer_function() -> None:
-    """Check a system with direct transmission whose inputs and outputs are scaled a million times apart."""
+    """The zeros are exact for a system with direct transmission and inputs and outputs scaled a million times apart."""
     rng = np.random.default_rng(8)
     a, b, c = rng.normal(size=(4, 4)), rng.normal(size=(4, 1)), rng.normal(size=(1, 4))
     names = tuple("abcd")

@@ -1,10 +1,10 @@
-"""The printed model, eqs 1 to 27, against the equations evaluated one by one, and the corrected one against its twin.
+"""The printed model equals eqs 1 to 27 evaluated one by one, and the corrected model its independent derivation.
 
-| what | against |
+| model | against |
 |---|---|
-| preset `paper` | eqs 1 to 27 written out as the paper has them, with alpha, evaluated for each state |
+| preset `paper` | eqs 1 to 27 as the paper writes them, with alpha, evaluated for each state |
 | preset `corrected` | the same vehicle derived by d'Alembert's principle (oracles/dalembert_plant.py): 1e-12 |
-| single errata | the figures of the project's list of errata, which come from a study of its own |
+| single errata | the figures of the project's list of errata, from a separate study |
 | tanks with the diameter for the radius | eqs 22, 23, 25 by hand |
 """
 
@@ -45,7 +45,7 @@ def test_all_errata_corrected_make_the_corrected_plant(time_s: float) -> None:
 @pytest.mark.parametrize("exchange", ["true", "false"])
 @EVERY_NODE
 def test_each_erratum_is_that_of_the_general_equations(time_s: float, exchange: str, plane: str) -> None:
-    """oracles/planar also has engines off the axis, spatial modes and TVC loads, with the same switches."""
+    """Each erratum equals that of oracles/planar, which also has off-axis engines, spatial modes and TVC loads."""
     node = published_at(time_s, plane, f"switches.slosh_exchange={exchange}")
     assert node.liquids is not None
     tanks, vehicle = Liquids(node.liquids.radius_m, node.liquids.height_m), planar_of(node)
@@ -73,7 +73,7 @@ def test_vehicles_that_the_paper_does_not_describe(change: str, words: str) -> N
 
 
 def printed_rates(node, x: dict[str, Array], delta: float, delta_accel: float) -> dict[str, Array]:
-    """Eqs 1, 2, 3, 12, 13, 21 as printed: rates of alpha, q, theta, eta', Gamma', and q_m."""
+    """Return eqs 1, 2, 3, 12, 13, 21 as printed: rates of alpha, q, theta, eta', Gamma', and q_m."""
     vehicle, condition = planar_of(node), node.condition
     assert node.liquids is not None
     d = stability_derivatives(vehicle, condition)
@@ -181,7 +181,7 @@ def test_switches_change_what_they_are_about_and_nothing_else(time_s: float) -> 
 
 @pytest.mark.slow
 def test_figures_of_the_list_of_errata() -> None:
-    """Each figure as the list has it, over the nodes; the study behind it had a plant of its own, hence the slack."""
+    """Each figure of the list holds at the operating points; the tolerance covers the different plant of its study."""
     nodes = published()
 
     def measure(node, cut: str) -> dict[str, float]:
@@ -220,7 +220,7 @@ def test_figures_of_the_list_of_errata() -> None:
 
 
 def test_actuator_at_single_frequencies() -> None:
-    """Erratum 13: at 10 Hz -19.7 vs -11.2 dB; 15.6 Hz -51 vs -9.7 dB; 30 Hz -41.5 vs -65 dB."""
+    """Erratum 13 gives -19.7 vs -11.2 dB at 10 Hz, -51 vs -9.7 dB at 15.6 Hz, and -41.5 vs -65 dB at 30 Hz."""
     node = without(published_at(40.0), modes=True, tanks=True)
     other = node.with_errata(Errata().switched(actuator_labels=True))
     for hz, printed_db, exchanged_db in ((10.0, -19.7, -11.2), (15.6, -51.0, -9.7), (30.0, -41.5, -65.0)):
@@ -233,7 +233,7 @@ def test_actuator_at_single_frequencies() -> None:
 
 
 def test_tanks_with_the_diameter_for_the_radius() -> None:
-    """Erratum 6 at liftoff of the list's vehicle: 1.44 vs 1.02 Hz, 192 vs 383 kg, 0.27 vs 0.53 m."""
+    """Erratum 6 at liftoff of the list's vehicle gives 1.44 vs 1.02 Hz, 192 vs 383 kg, and 0.27 vs 0.53 m."""
     node = published_at(5.0)
     assert node.liquids is not None
     wrong = as_printed(node.vehicle.pendulums, node.liquids, radius=False, liquid=True)

@@ -1,7 +1,7 @@
-"""Vehicle N of a margin sweep is run N of its campaign: the same numbers, and the same vehicle as when it is packed.
+"""Vehicle N of a margin sweep is run N of its campaign, with the same numbers and the same packed vehicle.
 
-The other way is the campaign's own: the scenario of the run is rebuilt, checked and packed, and the packed stage held
-at the clock of the node.
+The reference is the campaign's method: the scenario of the run is rebuilt, checked and packed, and the packed stage is
+held at the clock of the operating point.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def node_of_campaign(name: str, time_s: float, plane: Any = "pitch") -> Node:
 
 
 def packed_as_flown(campaign: LoadedCampaign, run: int, node: Node) -> tuple:
-    """Return the stage of a node in the scenario of a run, packed as the campaign packs it."""
+    """Return the stage of an operating point in the scenario of a run, packed as the campaign packs it."""
     packed = pack_flight(campaign.scenario_of(run).scenario)
     held = hold_stage(packed, float(node.held.parameters[0].timeline.frozen_s), node.stage)
     there = dataclasses.replace(held, swing_rad=node.held.swing_rad)
@@ -71,7 +71,7 @@ def packed_as_flown(campaign: LoadedCampaign, run: int, node: Node) -> tuple:
 
 
 def differing(a: Any, b: Any, path: str = "") -> list[str]:
-    """Return the fields of two records in which they differ by more than rounding."""
+    """Return the fields in which two records differ by more than rounding."""
     if a.dtype.names is None:
         return [] if np.allclose(a, b, rtol=1e-12, atol=0.0, equal_nan=True) else [path]
     names = (name for name in a.dtype.names if name not in UNREAD)
@@ -81,11 +81,11 @@ def differing(a: Any, b: Any, path: str = "") -> list[str]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CAMPAIGNS)
 def test_a_drawn_record_is_that_of_the_packed_scenario(name: str) -> None:
-    """Runs 0 to 20: parameters and instruments to rounding, properties too at the rows of the tables.
+    """Parameters and instruments of runs 0 to 20 agree to rounding, as do properties at the rows of the tables.
 
-    Between rows packing joins the cores of the rows, and the sweep takes the bobs out of what is joined: 1e-7 of mass,
-    CG and inertia (1e-4 of the millimetres by which the CG is off the axis). Rates of the core, which jet damping alone
-    reads, are differences: 1e-4 of those along the axis.
+    Between rows, packing interpolates the cores of the rows, while the sweep subtracts the bobs from the interpolated
+    total. The difference is 1e-7 of mass, CG and inertia (1e-4 of the millimetres by which the CG is off the axis).
+    Rates of the core, which only jet damping reads, are differences: 1e-4 of those along the axis.
     """
     campaign = loaded(name)
     for time_s, core in ((AT_A_ROW_S, 1e-12), (BETWEEN_ROWS_S, 2e-7)):
@@ -115,7 +115,7 @@ def test_a_drawn_record_is_that_of_the_packed_scenario(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
 def test_the_loop_of_a_vehicle_is_that_of_its_run(plane: Any) -> None:
-    """From 0.05 Hz to 45 Hz to 1e-4 dB, and its least distance from -1 as the sweep of many measures it."""
+    """From 0.05 Hz to 45 Hz the loops agree to 1e-4 dB, as does the least distance from -1 in a sweep of many."""
     campaign, design = loaded("campaigns/ksr3"), maxq.load_design("designs/ksr3-robust")
     node = node_of_campaign("campaigns/ksr3", BETWEEN_ROWS_S, plane)
     every, hz = deviations_of(campaign, node).drawn(range(8)), np.geomspace(0.05, 45.0, 200)
@@ -132,7 +132,7 @@ def test_the_loop_of_a_vehicle_is_that_of_its_run(plane: Any) -> None:
 
 
 def test_draws_are_the_campaigns_own_numbers() -> None:
-    """Check 2,000 vehicles, and any of them alone; the delay is uniform and the damping triangular, as in flight."""
+    """All of 2,000 vehicles agree, also alone; the delay is uniform and the damping triangular, as in flight."""
     campaign, node = loaded("campaigns/ksr3"), node_of_campaign("campaigns/ksr3", AT_A_ROW_S)
     drawn, every = campaign.plan.draw(0, 2000).draws, deviations_of(campaign, node).drawn(range(2000))
     delay_s = np.array([by.delay_s for by in every]) + node.instruments.delay_s
@@ -164,14 +164,14 @@ def test_another_seed_and_sampling_are_followed() -> None:
 
 
 def by_name(deviations, name: str, sigmas: float) -> Dispersion:
-    """Return the vehicle with one deviation alone."""
+    """Return the vehicle with a single deviation."""
     u = np.zeros(len(deviations.places))
     u[deviations.places.index(name)] = sigmas / 3.0
     return deviations.at(u)
 
 
 def test_k_sigma_of_a_draw_is_the_quantile_of_its_distribution() -> None:
-    """SciPy's quantiles at the probability of k sigma of a normal quantity: none passes its bound."""
+    """Each draw equals SciPy's quantile at the probability of k sigma of a normal quantity, within its bounds."""
     deviations = deviations_of(loaded("campaigns/ksr3"), node_of_campaign("campaigns/ksr3", AT_A_ROW_S))
     triangle = stats.triang(1.0 / 3.0, 0.0025, 0.0075)
     for k in (-6.0, -3.0, -1.5, 0.0, 2.0, 3.0, 6.0):
@@ -187,7 +187,7 @@ def test_k_sigma_of_a_draw_is_the_quantile_of_its_distribution() -> None:
 
 
 def test_the_scenario_of_scores_flies_that_vehicle() -> None:
-    """Draws of many kinds at once: packed, it is the vehicle that the search has measured."""
+    """A scenario with draws of many kinds at once, when packed, is the vehicle that the search measured."""
     campaign, node = loaded("campaigns/ksr3"), node_of_campaign("campaigns/ksr3", AT_A_ROW_S)
     deviations = deviations_of(campaign, node)
     u = np.random.default_rng(4).normal(size=len(deviations.places)) / 3.0
@@ -202,10 +202,11 @@ def test_the_scenario_of_scores_flies_that_vehicle() -> None:
 
 @pytest.mark.slow
 def test_engines_of_a_cluster_deviate_each_by_itself() -> None:
-    """Compare the loops of petrel's campaign with those of the packed scenario at the same propellant.
+    """The loops of petrel's campaign equal those of the packed scenario at the same propellant.
 
     Unequal burn rates make nine engines of three in the record. The tables of the throttled first stage have another
-    clock."""
+    clock.
+    """
     campaign = maxq.load(petrelkit.folder() / "campaign.toml")
     hz = np.geomspace(0.3, 45.0, 100)
     for time_s, stage in ((40.0, 0), (150.0, 1)):
@@ -269,7 +270,7 @@ def test_margins_depend_on_no_stall_and_no_cutoff(key: str) -> None:
 
 
 def test_deviations_that_go_together_and_those_that_are_not_followed(own: Path) -> None:
-    """Scores are independent, the covariance is the campaign's; a draw that no rule follows is named."""
+    """Scores are independent and the covariance is the campaign's; a draw without a rule is named."""
     campaign = maxq.load(own)
     node = maxq.nodes(campaign.base, [AT_A_ROW_S])[0]
     deviations = deviations_of(campaign, node)
@@ -287,7 +288,7 @@ def test_deviations_that_go_together_and_those_that_are_not_followed(own: Path) 
 
 
 def test_a_suite_takes_the_draws_of_its_campaign(own: Path, tmp_path: Path) -> None:
-    """`campaign` of [margins.three_sigma] is searched next to the suite, and excludes other numbers."""
+    """The file `campaign` of [margins.three_sigma] is looked for next to the suite, and excludes other numbers."""
     suite = tmp_path / "suite.toml"
     suite.write_text('schema = 2\n[margins.three_sigma]\ncampaign = "own"\n')
     wanted = read_suite(suite).suite.margins
@@ -305,7 +306,7 @@ def test_a_suite_takes_the_draws_of_its_campaign(own: Path, tmp_path: Path) -> N
 
 
 def test_corners_hold_all_deviations_of_a_factor_together() -> None:
-    """24 corners of a Plackett-Burman design; every draw of the shipped campaign that a loop feels has its factor."""
+    """A Plackett-Burman design has 24 corners, and each draw of the shipped campaign in a loop has its factor."""
     node = node_of_campaign("campaigns/ksr3", AT_A_ROW_S)
     corners, _ = vehicles(LinearMargins(cases=0, corner_sigmas=1.5), node, loaded("campaigns/ksr3"))
     assert len(corners) == 24
@@ -324,7 +325,7 @@ def test_vehicles_of_a_spread_are_normal_as_before() -> None:
 
 
 def test_a_robust_case_takes_the_draws_of_a_campaign(own: Path, tmp_path: Path) -> None:
-    """Ends of a uniform draw at two sigma each: 0.977 of the way; masses by the covariance's Cholesky factor."""
+    """Ends of a uniform draw at two sigma are 0.977 of the range; masses follow the covariance's Cholesky factor."""
     case = tmp_path / "case.toml"
     case.write_text('schema = 2\nscenario = "nominal"\nnodes_s = [35.0]\n[robust]\ncampaign = "own"\n')
     node = node_of_campaign("campaigns/ksr3", AT_A_ROW_S)

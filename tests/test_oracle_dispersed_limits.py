@@ -1,4 +1,4 @@
-"""The limits of dispersed vehicles that `simdesign analyse` judges, against sampling, brute force and single loops."""
+"""The limits of dispersed vehicles in `simdesign analyse` agree with sampling, exhaustive search and single loops."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def single(node: Node, u: np.ndarray) -> dict[str, float]:
 
 
 def left(found: dict[str, float], wanted: dict[str, float]) -> float:
-    """Return the least share of a limit that is left; -1 of an unstable loop."""
+    """Return the least remaining share of a limit; -1 for an unstable loop."""
     signs = {key: 1.0 if MEASURED[key].sense == ">=" else -1.0 for key in wanted}
     each = [signs[key] * (found[key] - limit) / abs(limit) for key, limit in wanted.items()] if found else [-1.0]
     return float(np.clip(min(each), -1.0, 10.0))
@@ -85,7 +85,10 @@ def test_what_is_searched_is_what_single_loops_have() -> None:
 
 
 def test_no_corner_and_no_random_vehicle_is_worse() -> None:
-    """All corners of the box, and 400 vehicles inside; the descent leaves the corner where a mode is worst between."""
+    """No corner of the box and none of 400 vehicles inside is worse.
+
+    The descent leaves the corner where a mode is worst between the ends.
+    """
     node, wanted = design_nodes.flown()[6], guides(DispersedLimits())
     look = rooms(node, design_nodes.design(), few(), wanted)
     count = len(deviations_of(few(), node).places)
@@ -100,12 +103,12 @@ def test_no_corner_and_no_random_vehicle_is_worse() -> None:
 
 
 def measure(node: Node) -> dict[str, float]:
-    """Return the quantities of a node's loop."""
+    """Return the quantities of the loop of an operating point."""
     return measure_loop(Loop(fixed_path(node), law_at(design_nodes.design(), node))).quantities(Convention())
 
 
 def test_the_corner_of_a_known_function() -> None:
-    """Check separable steps, whose corner is the sum of all signs; the value is counted by hand."""
+    """For separable steps the worst corner is the sum of all signs; its value is counted by hand."""
     weights = np.array([3.0, -1.0, 2.0, 0.5])
     u, value = to_corner(lambda every: [float(x @ weights) for x in every], np.zeros(4), Region("box", 0.5))
     assert u.tolist() == [-0.5, 0.5, -0.5, -0.5]
@@ -122,7 +125,7 @@ def test_the_corner_of_a_known_function() -> None:
 def analysed(
     capsys: pytest.CaptureFixture[str], changes: dict[str, str], *words: str
 ) -> tuple[int, str, dict[str, Any]]:
-    """Analyse ksr3-robust-ascent with changes of its text at few points: exit code, report and record."""
+    """Analyse ksr3-robust-ascent with changes of its text at few points; return exit code, report and record."""
     text = builtin_files("design")["ksr3-robust-ascent"].read_text()
     for old, new in changes.items():
         head, found, tail = text.rpartition(old)
@@ -140,7 +143,7 @@ FEW_POINTS = {"nodes_s = [0.3, 5.0, 10.0, 20.0, 30.0, 35.0, 40.0, 45.0, 50.0, 55
 def test_analyse_judges_the_dispersed_vehicles(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The values are those of single loops; a limit that the worst vehicle misses fails the design."""
+    """The values are those of single loops; a limit missed by the worst vehicle fails the design."""
     monkeypatch.chdir(tmp_path)
     code, said, record = analysed(capsys, FEW_POINTS)
     found = {c["key"]: c for c in record["limits"] if c["key"].startswith("dispersed")}
@@ -169,7 +172,7 @@ def test_analyse_judges_the_dispersed_vehicles(
 
 @pytest.mark.long
 def test_vehicles_of_a_shipped_basis_are_the_worst_of_2000() -> None:
-    """At two operating points, 1,000 corners and 1,000 vehicles inside the box."""
+    """At two operating points, no corner of 1,000 and no vehicle of 1,000 inside the box is worse."""
     scenario = load_scenario("nominal", ["design='designs/ksr3-robust-ascent.toml'"])
     assert scenario.design is not None
     basis: Basis | None = stated_basis(scenario.design)

@@ -1,6 +1,6 @@
-"""Feedback of the lateral drift: kernel, loop, optimiser and steady states, each against an independent calculation.
+"""Feedback of the lateral drift (kernel, loop, optimiser, steady states) agrees with independent calculations.
 
-| what | oracle |
+| quantity | oracle |
 |---|---|
 | command of the computer, with and without an integral, in pitch and yaw | cumulative sums |
 | drift of a given plant: response, state space, sampling with a delay of several samples | its own states, exact kind |
@@ -56,7 +56,10 @@ WITH_INTEGRAL = GainSchedule(
 # --- the computer
 @pytest.mark.parametrize(("law", "gains"), [("drift", PLAIN), ("pid-drift", WITH_INTEGRAL)])
 def test_command_is_pd_and_the_integrated_acceleration_behind_the_filter(law: Any, gains: GainSchedule) -> None:
-    """The axial force turns with the attitude error, which the clamp of the law's input does not limit."""
+    """The command is PD plus the filtered integral of acceleration.
+
+    The axial force turns with the attitude error, which the clamp of the law's input does not limit.
+    """
     discrete, pool, clamp_rad = F2.discretize(T, "prewarped", 9.0), Pool(), 0.004
     built = build_computer(
         pool,
@@ -105,7 +108,7 @@ def point(*overrides: str) -> GivenPoint:
 
 
 def across(at: GivenPoint, hz: np.ndarray) -> np.ndarray:
-    """Drift velocity at the instruments, z' - phi eta', by the states of the plant, per angle of the gimbal."""
+    """Return the drift velocity at the instruments per gimbal angle, z' - phi eta', from the states of the plant."""
     plant, mode = at.plant, at.coefficients.modes[0]  # type: ignore[union-attr]  # it has some
     of_states = np.array([1.0, 0.0, -at.condition.airspeed_mps, 0.0, -mode.phi_gyro])
     s = 2j * np.pi * hz
@@ -141,7 +144,7 @@ def test_matrices_have_the_response_of_the_path(kind: Any) -> None:
 
 
 def test_a_delay_of_several_samples_is_that_of_the_exact_loop() -> None:
-    """8 ms samples with a delay of 20 ms; aliasing of the images is the difference."""
+    """For 8 ms samples with a delay of 20 ms, the exact loop differs by the aliasing of the images only."""
     at = point("computer.sample_s=0.008", "computer.delay_s=0.02")
     loops = [Loop(fixed_path(at, kind), Pd(1.2, 0.5, k_zd_radspm=2e-3)) for kind in ("sampled", "exact")]  # type: ignore[arg-type]  # kinds
     sampled, exact = (loop.response(HZ) for loop in loops)
@@ -151,7 +154,7 @@ def test_a_delay_of_several_samples_is_that_of_the_exact_loop() -> None:
 
 
 def exact_of_sums(loop: Loop) -> np.ndarray:
-    """Return the continuous path without images, with the sums of the computer instead of integrals."""
+    """Return the continuous path without images, with the computer's sums instead of integrals."""
     node, s = loop.fixed.node, 2j * np.pi * HZ
     exact = fixed_path(node, "exact").with_inputs(loop.law.inputs)
     summed = 0.008 / (1.0 - np.exp(-0.008 * s))
@@ -171,7 +174,7 @@ DRIFT = (
 
 @cache
 def still() -> tuple[str, ...]:
-    """Upright in the gravity of the axial load, so that the vehicle does not accelerate along its axis."""
+    """Return an upright attitude in gravity equal to the axial load, so that the axial acceleration is zero."""
     at = frozen(40.0, *DRIFT)[1]
     return (
         "initial.euler_deg=[0, 90, 0]",
@@ -183,7 +186,7 @@ def still() -> tuple[str, ...]:
 @pytest.mark.slow  # four flights of a second
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
 def test_a_kick_in_flight_moves_the_computer_as_the_loop_says(plane: str) -> None:
-    """As tests/test_oracle_sensors.py's, with gains of the drift that matter within half a second."""
+    """A kick in flight moves the command as in tests/test_oracle_sensors.py, with drift gains that act in 0.5 s."""
     given, kick_deg = (*DRIFT, *still()), 0.01
     window = "start_s=40.005, stop_s=40.015"
     injection = f'[{{at="gimbal_command", axis="{plane}", kind="step", amplitude_deg={kick_deg}, {window}}}]'
@@ -214,7 +217,7 @@ def test_loops_of_all_axes_hold_each_plane_by_itself() -> None:
 # --- the optimiser
 @pytest.mark.parametrize("law", ["drift", "pid-drift"])
 def test_gradients_are_those_of_the_response(law: str) -> None:
-    """d ln L by each parameter, by central differences of C and of the path; C is that of the law's controllers."""
+    """d ln L by each parameter equals central differences of C and of the path; C is that of the law's controllers."""
     changes = (f"law={law}", "filter.structure=F2", "nodes_s=[60.0, 72.0]", "gains.schedule=linear")
     loaded = read_case("greensite", changes)
     plants = nominal_plants(loaded)
@@ -239,7 +242,7 @@ def test_gradients_are_those_of_the_response(law: str) -> None:
 
 # --- steady wind
 def settled(at: GivenPoint, k_p: float, k_alpha: float, k_zd: float) -> tuple[float, float]:
-    """Angle of attack and drift in a steady wind of 1 m/s, of the rigid plant's matrices with the loop closed."""
+    """Return angle of attack and drift in a steady wind of 1 m/s, from the closed loop of the rigid plant."""
     plant, speed = dict(at.parts)["aerodynamics"], at.condition.airspeed_mps
     # w, q, theta; alpha = (w - v) / V, z' = w - V theta
     law = np.array([-k_alpha / speed + k_zd, -0.4, -k_p - k_zd * speed])
@@ -283,7 +286,7 @@ table = [{time_s = 40.0, k_p = 0.8, k_d_s = 0.4, k_zd_radspm = 0.003, k_z_radpm 
 
 @pytest.mark.long
 def test_the_lower_gain_margin_of_the_drift_is_measured_in_flight(tmp_path: Path) -> None:
-    """At 0.007 Hz, where the drift alone is fed back: gain is removed until the vehicle no longer holds its path."""
+    """At 0.007 Hz the drift alone is fed back; the gain is reduced until the vehicle diverges from its path."""
     (tmp_path / "drift.toml").write_text(CERTIFIED)
     loaded = load_scenario("load-relief", [f'design="{tmp_path / "drift.toml"}"'])
     (node,) = maxq.nodes(loaded, [40.0])

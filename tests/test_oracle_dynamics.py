@@ -1,13 +1,13 @@
-"""The derivative of the flight against independently derived equations of motion, at random states.
+"""The derivative of the flight equals independently derived equations of motion, at random states.
 
-| what | against |
+| case | against |
 |---|---|
 | all coupled: modes in two planes, tanks, moving engine, full inertia, CG off the axis | Lagrange |
 | with thrust: follower, softening, slosh damping, displaced engine under load | Lagrange plus loads |
 | without bending | MuJoCo |
 | injected force and torque, uniform gravitation | Lagrange |
 
-Vehicles go the whole way of a scenario, so that taking the sloshing masses out of the core is tested as well.
+Vehicles pass through loader and packing, so that the subtraction of the sloshing masses from the core is tested too.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ STATIONS = (0.0, 3.0, 5.0, 10.0, 12.0, 14.0)  # 5 and 10: hinges, 12: gimbal
 
 
 def slopes_of(phi: Array | list[float]) -> Array:
-    """The smallest slopes whose mean between stations is the shape's difference there: as a file may hold them."""
+    """Return the smallest slopes whose mean between stations is the difference of the shape."""
     means = 0.5 * (np.eye(len(STATIONS))[:-1] + np.eye(len(STATIONS))[1:])
     return np.asarray(np.linalg.lstsq(means, np.diff(phi) / np.diff(STATIONS), rcond=None)[0])
 
@@ -53,7 +53,7 @@ def a_mode(rng: np.random.Generator, frequency_hz: float, zeta: float = 0.0) -> 
 
 
 def same_at_hinges(mode: Mode, partner: Mode) -> Mode:
-    """`partner` with the displacements of `mode` at the hinges, as in a body of revolution."""
+    """Return `partner` with the displacements of `mode` at the hinges, as in a body of revolution."""
     phi = list(partner.phi)
     for k, station in enumerate(STATIONS):
         if station in (5.0, 10.0):
@@ -62,7 +62,7 @@ def same_at_hinges(mode: Mode, partner: Mode) -> Mode:
 
 
 def random_parts(rng: np.random.Generator, modes: int = 2, zeta: float = 0.0, alike: bool = True) -> Parts:
-    """`alike`: both planes displace the hinges alike, as in a body of revolution."""
+    """Return random parts. `alike`: both planes displace the hinges equally, as in a body of revolution."""
     a = rng.normal(size=(3, 3))
     inertia = np.diag([8.0e3, 5.0e4, 5.2e4]) + 100.0 * (a + a.T)
     pitch = tuple(a_mode(rng, 6.0 + 5.0 * k, zeta) for k in range(modes))
@@ -106,7 +106,7 @@ def random_state(rng: np.random.Generator, modes: int, bent_m: float = 0.1, movi
 
 
 def worst(ours: dict[str, Array], theirs: dict[str, Array]) -> float:
-    """Return the largest difference, each quantity relative to its own largest component."""
+    """Return the largest difference; each quantity is relative to its largest component."""
     errors = [
         float(np.max(np.abs(ours[key] - theirs[key])) / np.max(np.abs(theirs[key]))) for key in ours if theirs[key].size
     ]
@@ -115,9 +115,7 @@ def worst(ours: dict[str, Array], theirs: dict[str, Array]) -> float:
 
 
 def seen(made: Rig, state: State) -> tuple[Array, State]:
-    """Return the simulator's state vector, and that vector as the oracle's state, with the rounding of the conversion
-    included.
-    """
+    """Return the simulator's state vector, and the oracle's state converted from it, so that both have its rounding."""
     y = to_simulator(made, state)
     return y, to_oracle(made, y)
 
@@ -138,9 +136,7 @@ def test_free_multibody_system_agrees_with_lagrange(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_tension_at_hinges_that_the_planes_displace_differently(seed: int) -> None:
-    """A vehicle without rotational symmetry: the hinge's velocity is that of the displaced point, rolling
-    included.
-    """
+    """In a vehicle without rotational symmetry, the hinge's velocity is that of the displaced point, including roll."""
     rng = np.random.default_rng(100 + seed)
     parts = random_parts(rng, alike=False)
     made = rig(scenario_of(parts))
@@ -193,7 +189,7 @@ def test_uniform_gravitation_and_injected_loads_agree_with_lagrange(seed: int) -
 
 
 def softening(parts: Parts, modes: tuple[Mode, ...]) -> Array:
-    """int mass_forward phi_i' phi_j' dx to the gimbal, less the engine that hangs behind it (kg/m)."""
+    """Return int mass_forward phi_i' phi_j' dx up to the gimbal, less the engine that hangs behind it (kg/m)."""
     x = np.array(parts.stations_m)
     shapes = [CubicHermiteSpline(x, mode.phi, mode.slope_pm) for mode in modes]
     out = np.zeros((len(modes), len(modes)))
@@ -214,11 +210,10 @@ def softening(parts: Parts, modes: tuple[Mode, ...]) -> Array:
 
 
 def thrust_load(parts: Parts, state: State, follower: bool) -> tuple[Load, float]:
-    """Return the load of thrust, written out by hand (docs/model.md, section 4), and the axial specific force, m/s2.
+    """Return the load of thrust written out by hand (docs/model.md, section 4), and the axial specific force, m/s2.
 
-    A force on the bent body works on the velocity of the displaced point. The oracle's modal forces work on
-    etadot and xidot at fixed body rates, so every lateral modal force that rides on the body's turning adds
-    its roll moment.
+    A force on the bent body does work on the velocity of the displaced point. The oracle's modal forces do work on
+    etadot and xidot at fixed body rates, so every lateral modal force that turns with the body adds its roll moment.
     """
     vehicle = oracle_vehicle(parts)
     assert vehicle.engine is not None
@@ -260,7 +255,7 @@ def test_thrust_softening_and_slosh_damping_agree_with_lagrange(seed: int, follo
 
 
 def test_switches_take_away_what_they_name() -> None:
-    """Softening and engine inertia off: the oracle without them."""
+    """With softening and engine inertia off, the result is the oracle's without them."""
     rng = np.random.default_rng(40)
     parts = replace(random_parts(rng), thrust_N=1.2e5)
     made = rig(scenario_of(parts, switches={"bending_softening": False}))
@@ -282,7 +277,7 @@ def test_switches_take_away_what_they_name() -> None:
 
 
 def test_kinematics_of_attitude_and_pendulums() -> None:
-    """First-order parts of the derivative: finite rotations over a short time."""
+    """The first-order parts of the derivative equal finite rotations over a short time."""
     rng = np.random.default_rng(50)
     made = rig(scenario_of(random_parts(rng)))
     y, state = seen(made, random_state(rng, 2))

@@ -1,4 +1,4 @@
-"""A test for each coupling path alone: its direction in pitch and in yaw, and its size.
+"""Each coupling path alone has the right direction in pitch and yaw, and the right size.
 
 The signs are those of docs/model.md: x forward, y right, z down; positive gimbal angles give positive moments. A mode
 moves to +z (pitch) and +y (yaw). Its slope turns the body by +sigma eta about y and by -sigma xi about z.
@@ -29,7 +29,7 @@ MOVED = Mode(7.0, 500.0, (0.6,) * 6, (0.0,) * 6)  # moves without turning
 
 
 def answer(made: Rig, y: Array | None = None) -> tuple[Array, Array]:
-    """Return the specific force at the core CG and angular acceleration, both in B."""
+    """Return the specific force at the core CG and the angular acceleration, both in B."""
     made.derivative(made.y if y is None else y)
     return made.aux.specific_force_B_mps2.copy(), made.aux.alpha_BI_B_radps2.copy()
 
@@ -70,7 +70,7 @@ def test_misaligned_thrust_acts_as_a_deflection(plane: int) -> None:
 
 
 def test_offset_thrust_turns_about_the_other_axis() -> None:
-    """A gimbal to the right (y > 0) turns the nose left, one below (z > 0) turns the nose up."""
+    """A gimbal to the right (y > 0) turns the nose left; one below (z > 0) turns the nose up."""
     right = rig(ideal(Parts(thrust_N=1.0e5, gimbal_offset_m=(0.02, 0.0))))
     assert np.allclose(answer(right)[1], [0.0, 0.0, -2000.0 / 5.0e4], rtol=0.0, atol=1e-12)
     below = rig(ideal(Parts(thrust_N=1.0e5, gimbal_offset_m=(0.0, 0.02))))
@@ -87,9 +87,7 @@ def test_ambient_pressure_takes_thrust() -> None:
 
 @PLANES
 def test_follower_thrust_turns_with_the_gimbal(plane: int) -> None:
-    """A positive slope times displacement turns the nozzle's axis: force to -z (pitch) or -y (yaw), nose
-    down or right.
-    """
+    """A positive slope times displacement turns the nozzle: force to -z (pitch) or -y (yaw), nose down or right."""
     parts = Parts(thrust_N=1.0e5, **planes(SLOPED))
     for follower in (True, False):
         made = rig(ideal(parts, switches={"follower_thrust": follower}))
@@ -124,8 +122,9 @@ def test_deflected_thrust_bends_the_body(plane: int) -> None:
 # --- engine inertia
 @PLANES
 def test_swinging_engine_pushes_the_vehicle_back(plane: int) -> None:
-    """No thrust: the engine's CG accelerates to -z (pitch) or +y (yaw), the vehicle the other way, and it
-    turns with the engine's angle.
+    """Without thrust, the engine's CG accelerates to -z (pitch) or +y (yaw) and the vehicle in the opposite direction.
+
+    The vehicle turns with the engine's angle.
     """
     parts = Parts(engine_mass_kg=200.0, engine_cg_m=0.5, engine_inertia_kgm2=30.0)
     made = rig(scenario_of(parts))
@@ -218,7 +217,7 @@ def test_slosh_lags_behind_an_accelerated_body(plane: int) -> None:
 
 @PLANES
 def test_slosh_and_bending_meet_at_the_hinge(plane: int) -> None:
-    """An accelerating hinge leaves the bob behind; a swung bob pulls the mode along."""
+    """An accelerating hinge leaves the bob behind; a deflected bob pulls on the mode."""
     parts = Parts(thrust_N=1.0e5, tanks=(AT_FIVE,), **planes(MOVED))
     made = rig(ideal(parts, switches={"follower_thrust": False}))
     i, m = int(layout.pendulum_index(made.sizes, 0)), mode_index(made, plane)
@@ -237,7 +236,7 @@ def test_slosh_and_bending_meet_at_the_hinge(plane: int) -> None:
 # --- what the gyro sees
 @PLANES
 def test_gyro_reads_the_turning_of_the_bent_body(plane: int) -> None:
-    """q + sum(sigma d(eta)/dt) in pitch, r - sum(sigma d(xi)/dt) in yaw."""
+    """The gyro measures q + sum(sigma d(eta)/dt) in pitch and r - sum(sigma d(xi)/dt) in yaw."""
     made = rig(ideal(Parts(**planes(SLOPED))))
     y = made.y.copy()
     y[mode_index(made, plane) + 1] = 0.3
@@ -268,7 +267,7 @@ def test_gyro_reads_the_body_rate_on_its_own_axis(axis: int) -> None:
 
 
 def test_gyro_turned_about_x_mixes_pitch_and_yaw() -> None:
-    """Sensor axes turned by +a about x: its y axis leans towards z, its z axis towards -y."""
+    """Sensor axes turned by +a about x have their y axis towards z and their z axis towards -y."""
     tree = with_stage(
         ideal(Parts(), initial={"rate_BI_radps": [0.0, 0.1, 0.0]}), gyro={"misalignment_deg": [1.0, 0, 0]}
     )
@@ -298,7 +297,7 @@ def through_air(aero: Tree, velocity_B: list[float], parts: Parts | None = None,
 @PLANES
 @pytest.mark.parametrize("station_m", [3.0, 11.0])
 def test_normal_force_opposes_cross_flow_and_turns(plane: int, station_m: float) -> None:
-    """Ahead of the CG it turns the nose away from the wind (unstable), behind it into the wind."""
+    """A surface ahead of the CG turns the nose away from the wind (unstable), and one behind it into the wind."""
     velocity = [SPEED, 0.0, 0.0]
     velocity[ALONG[plane]] = 2.0
     made = through_air(wing(station_m), velocity)
@@ -311,7 +310,7 @@ def test_normal_force_opposes_cross_flow_and_turns(plane: int, station_m: float)
 
 @PLANES
 def test_local_incidence_by_slope_and_by_motion(plane: int) -> None:
-    """A surface turned into the flow is pushed like a body at that angle of attack; one that moves is damped."""
+    """A surface turned into the flow has the force of a body at that angle of attack; a moving one is damped."""
     for mode, index, cross_flow in ((SLOPED, 0, SPEED * 0.2 * 0.01), (MOVED, 1, 0.6 * 0.5)):
         made = through_air(wing(3.0), [SPEED, 0.0, 0.0], Parts(**planes(mode)))
         y = made.y.copy()
@@ -390,7 +389,7 @@ def test_drag_beside_a_cg_off_the_axis() -> None:
     ("from_deg", "wanted"), [(270.0, [0.0, 1.0]), (180.0, [1.0, 0.0]), (90.0, [0.0, -1.0]), (0.0, [-1.0, 0.0])]
 )
 def test_wind_blows_from_where_it_is_said_to(from_deg: float, wanted: list[float]) -> None:
-    """At rest, pointing at the zenith, body z to the north: the wind drags along with it."""
+    """At rest, with the nose at the zenith and body z north, drag acts along the wind."""
     aero = {"table": [{"mach": 0.0, "CD": 1.0}]}
     tree = ideal(
         Parts(),
@@ -407,7 +406,7 @@ def test_wind_blows_from_where_it_is_said_to(from_deg: float, wanted: list[float
 
 # --- gravity gradient and roll
 def tidal(inertia: Array, attitude: list[float]) -> tuple[Array, Array]:
-    """Angular acceleration of a body at rest over a round Earth, and the moment 3 mu / r^3 (n x J n) in B."""
+    """Return the angular acceleration at rest over a round Earth, and the moment 3 mu / r^3 (n x J n) in B."""
     radius, mu = 7.0e6, 3.986004418e14
     tree = scenario_of(
         Parts(engine=False, core_inertia=tuple(map(tuple, inertia))),
@@ -426,7 +425,7 @@ def unit(*q: float) -> list[float]:
 
 
 def test_gravity_gradient_turns_the_long_axis_to_the_vertical() -> None:
-    """Nose 45 degrees above the horizon: a slender vehicle is pulled upright."""
+    """With the nose 45 degrees above the horizon, a slender vehicle turns upright."""
     attitude = unit(math.cos(math.pi / 8), 0.0, 0.0, math.sin(math.pi / 8))  # x axis turned from the zenith about z
     inertia = np.diag([2000.0, 5.0e4, 5.0e4])
     alpha, moment = tidal(inertia, attitude)
@@ -456,7 +455,7 @@ def test_roll_thrusters_fire_against_the_roll(sign: float) -> None:
 
 @PLANES
 def test_control_turns_against_a_body_rate(plane: int) -> None:
-    """The whole loop: a positive rate calls for a negative gimbal angle, which makes a negative moment."""
+    """In the whole loop, a positive rate gives a negative gimbal angle and so a negative moment."""
     rate = np.zeros(3)
     rate[ABOUT[plane]] = 0.02
     tree = scenario_of(Parts(thrust_N=1.0e5), initial={"rate_BI_radps": rate})

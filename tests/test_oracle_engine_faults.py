@@ -1,11 +1,11 @@
-"""Engines that stop, weaken or are throttled: propellant and thrust against sums and integrals written here.
+"""Propellant and thrust of stopped, weakened and throttled engines equal sums and integrals written here.
 
-| what | expected |
+| case | expected |
 |---|---|
-| an engine of nine off at once | closed form: the tables' clock runs at 8/9 of the time from then on |
-| tail-off, loss and return, throttle ramps, unlike engines with flows of their own | SciPy's integral of the flows |
-| expelled mass | integral of the mass flow, whatever happens |
-| burnout | when what is left is spent; at once where the last engine is off |
+| an engine of nine off at once | closed form: the tables' clock then runs at 8/9 of the time |
+| tail-off, loss and return, throttle ramps, unlike engines with their own flows | SciPy's integral of the flows |
+| expelled mass | integral of the mass flow in every case |
+| burnout | when the remaining propellant is spent; at once where the last engine is off |
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ UNLIKE = [
 
 
 def unlike_clock(times_s: Array) -> Array:
-    """Return the clock of the tables at given times, integrated by SciPy from the flows written out here."""
+    """Return the clock of the tables at given times, integrated by SciPy from flows written out here."""
 
     def flow(k: int, s: float) -> float:
         if k == 0:
@@ -156,16 +156,14 @@ def test_all_engines_off_is_burn_out_and_leaves_the_propellant() -> None:
 
 
 def test_a_tail_off_ends_where_its_table_does() -> None:
-    """45.0 + 0.3 - 45.0 is less than 0.3: the share left there is none for all that."""
+    """Burnout is at 45.3 s to the nanosecond, although 45.0 + 0.3 - 45.0 is less than 0.3 in floating point."""
     tail = "tail_off=[{time_s=0.0,share=1.0},{time_s=0.3,share=0.0}]"
     made = packed(f"fault=[{{kind='engine-off',at_s=45.0,{tail}}}]")
     assert int(made.parameters[0].timeline.burnout_ns) == 45_300_000_000
 
 
 def test_burn_rate_speeds_up_all_that_flows() -> None:
-    """Check an engine at 1.1 times its flow: at the same clock of the tables every rate is 1.1 times the nominal
-    one.
-    """
+    """With an engine at 1.1 times its flow, every rate is 1.1 times the nominal one at the same clock of the tables."""
     nominal, made = (
         pack_flight(load_scenario("nominal", [f"vehicle.stage.0.engine.mass_flow_factor={k}"]).scenario)
         for k in (1.0, 1.1)

@@ -1,9 +1,9 @@
-"""Motion of a vehicle that loses one of its engines: rigid-body equations with variable mass, written here (SciPy).
+"""A vehicle that loses an engine moves as in rigid-body equations with variable mass, written here (SciPy).
 
-| what | against |
+| quantity | against |
 |---|---|
 | six degrees of freedom without control: tail-off, slower clock, moving CG, jet damping of each nozzle, cant | DOP853 |
-| attitude and acceleration that the PD law settles at | the thrust line of the remaining engines through the CG |
+| steady attitude and acceleration under the PD law | the thrust line of the remaining engines through the CG |
 
 The equations are those of docs/model.md, sections 8 and 9.
 """
@@ -71,13 +71,13 @@ def vehicle(thrust_N: tuple[float, float], flow_kgps: float, cant_deg: Any) -> T
 
 
 def to_inertial(made: Rig) -> Rotation:
-    """Return the rotation from north, east, down to I, by the attitude that the scenario gives in both."""
+    """Return the rotation from north, east, down to I, from the scenario's attitude in both frames."""
     w, x, y, z = made.y[Q_BI : Q_BI + 4]
     return Rotation.from_quat([x, y, z, w]) * Rotation.from_euler("ZYX", EULER_DEG, degrees=True).inv()
 
 
 def share(time_s: float) -> float:
-    """Return the thrust of the lost engine as a share of its nominal thrust."""
+    """Return the thrust of the lost engine relative to its nominal thrust."""
     return float(np.clip(1.0 - (time_s - OFF_S) / TAIL_S, 0.0, 1.0))
 
 
@@ -137,7 +137,10 @@ def test_a_vehicle_turns_as_its_remaining_engines_push_it() -> None:
 
 @pytest.mark.parametrize("lost", range(4))
 def test_the_law_settles_with_the_thrust_line_through_the_cg(lost: int) -> None:
-    """Gimbal angles (p, y) = (-z, y) / L of the mean gimbal, L behind the CG; the attitude error is -angle / k_p."""
+    """The law settles at gimbal angles (p, y) = (-z, y) / L of the mean gimbal, L behind the CG.
+
+    The attitude error is -angle / k_p.
+    """
     k_p, thrust = 0.8, 30e3
     tree = vehicle((thrust, thrust), 0.0, ((0.0, 0.0),) * 4)
     tree["fault"] = [{"kind": "engine-off", "engine": lost, "at_s": 0.5}]

@@ -1,4 +1,4 @@
-"""The Earth's kernels against independent work: 40-digit geodesy, the potential's gradient, many masses."""
+"""The Earth's kernels equal 40-digit geodesy, the gradient of the potential, and sums over many masses."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def record(earth):
 
 
 def error(got, exact: mpmath.mpf) -> float:
-    """got - exact, formed in 40 digits (a NumPy scalar would round the oracle to a double first)."""
+    """Return got - exact in 40 digits; a NumPy scalar would round the oracle to a double first."""
     with mpmath.workdps(40):
         return float(mpmath.mpf(float(got)) - exact)
 
@@ -91,7 +91,7 @@ def test_another_figure_than_wgs84():
 
 
 def potential(earth, x, y, z):
-    """mu/r (1 - J2 (R/r)^2 P2(sin)) in 40 digits."""
+    """Return mu/r (1 - J2 (R/r)^2 P2(sin)) in 40 digits."""
     r = mpmath.sqrt(x * x + y * y + z * z)
     mu, ratio = mpmath.mpf(earth.mu_m3ps2), mpmath.mpf(earth.gravity_radius_m) / r
     j2 = mpmath.mpf(earth.j2) if earth.gravity == J2 else 0
@@ -121,7 +121,7 @@ def test_gravitation_is_the_gradient_of_the_potential(gravity, position):
     ],
 )
 def test_nesc_gravity_and_altitude(earth, radius_ft, altitude_ft, g_ftps2):
-    """Tolerance: the twelve digits recorded."""
+    """The values agree within the twelve recorded digits."""
     row = record(earth)
     x, _, _ = earth_position(row, 0.0, 0.0, altitude_ft * FT)
     assert x / FT == pytest.approx(radius_ft, rel=3e-12)
@@ -158,7 +158,7 @@ def test_no_gravity_gradient_without_an_inverse_square_field(earth):
 
 
 def test_a_long_body_is_pulled_upright():
-    """Rod along x tilted out of the vertical towards +z: the torque turns its upper end back."""
+    """For a rod along x tilted out of the vertical towards +z, the torque turns its upper end back."""
     earth = record(wgs84())
     up = np.array([math.cos(0.1), 0.0, math.sin(0.1)])  # vertical in B: x axis 0.1 rad from it
     torque = gravity_gradient_torque(earth, tuple(7e6 * up), (0.0, 100.0, 100.0, 0.0, 0.0, 0.0))

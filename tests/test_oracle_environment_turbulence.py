@@ -1,4 +1,4 @@
-"""Turbulence against its spectra, in both frames, and against the exact discretisation in 30 digits."""
+"""Turbulence has its spectra in both frames, and equals the exact discretisation in 30 digits."""
 
 from __future__ import annotations
 
@@ -74,14 +74,14 @@ def gusts():
 
 
 def test_variance_and_mean(gusts):
-    """The standard error from the correlation length: 2 L / V seconds per independent sample, at most."""
+    """Variance and mean agree; one independent sample takes at most 2 L / V seconds of correlation."""
     samples = TICKS * 0.01 * AIRSPEED / (2 * np.array(LENGTH))
     assert np.all(np.abs(gusts.mean(axis=0)) < 4 * np.array(SIGMA) / np.sqrt(samples))
     assert np.all(np.abs(gusts.var(axis=0) / np.square(SIGMA) - 1) < 4 * np.sqrt(2 / samples))
 
 
 def dryden(f, sigma, length, longitudinal):
-    """One-sided spectral density over Hz, (m/s)^2/Hz: MIL-F-8785C 3.7.1.2."""
+    """Return the one-sided spectral density over Hz, (m/s)^2/Hz, of MIL-F-8785C 3.7.1.2."""
     n = length / AIRSPEED
     x2 = (2 * math.pi * f * n) ** 2
     over_w = 2 * n / math.pi / (1 + x2) if longitudinal else n / math.pi * (1 + 3 * x2) / (1 + x2) ** 2
@@ -89,7 +89,7 @@ def dryden(f, sigma, length, longitudinal):
 
 
 def von_karman(f, sigma, length, longitudinal):
-    """The same, MIL-F-8785C 3.7.1.1."""
+    """Return the one-sided spectral density over Hz, (m/s)^2/Hz, of MIL-F-8785C 3.7.1.1."""
     n = length / AIRSPEED
     x2 = (1.339 * 2 * math.pi * f * n) ** 2
     u = 2 * n / math.pi * (1 + x2) ** (-5 / 6)
@@ -117,7 +117,7 @@ def test_spectrum(gusts, component):
 
 @pytest.mark.parametrize("longitudinal", [True, False])
 def test_von_karman_is_a_mixture_of_dryden_fields(longitudinal):
-    """Both spectra, from the largest wave down to where a vehicle at 100 m/s has 40 Hz with L = 533 m."""
+    """Both spectra agree from the longest wave to 40 Hz of a vehicle at 100 m/s with L = 533 m."""
     x = np.concatenate([[1e-4], np.geomspace(1e-2, 1500.0, 300)])
     f = x * AIRSPEED / (2 * math.pi * 1.339)  # L = 1
     fields = scale_mixture(VON_KARMAN)
@@ -146,7 +146,10 @@ NORTH_EAST_DOWN = (2.0, 2.0, 0.5), (30.0, 30.0, 15.0)
     ("along", "longitudinal"), [(UP, 2), ((1.0, 0.0, 0.0), 0), ((0.0, -1.0, 0.0), 1)], ids=["up", "north", "west"]
 )
 def test_horizontal_frame_has_the_intensity_of_the_axis_and_the_spectrum_of_the_direction(along, longitudinal):
-    """A vehicle that rises: longitudinal vertically, lateral in both horizontal axes, sigma and L of the horizon."""
+    """A rising vehicle has longitudinal gusts vertically and lateral ones in both horizontal axes.
+
+    sigma and L are those of the horizontal frame.
+    """
     sigma, length = NORTH_EAST_DOWN
     row, pool = setting(intensity_table(0.0, sigma, length), 7, frame=HORIZONTAL)
     out = np.empty((TICKS, 3))
@@ -168,7 +171,7 @@ def test_horizontal_frame_keeps_variances_and_independence_in_oblique_flight():
 
 
 def test_near_the_ground_both_lateral_axes_of_a_rising_vehicle_are_horizontal():
-    """MIL-F-8785C at 10 m above the ground: body axes give 1.54 m/s over 10 m in pitch; it is 2.92 m/s over 67 m."""
+    """At 10 m, MIL-F-8785C in body axes gives 1.54 m/s over 10 m in pitch; the right value is 2.92 m/s over 67 m."""
     table = exceedance_table("moderate")(10.0)
     assert table[:3] == pytest.approx([2.92, 2.92, 1.54], abs=5e-3)
     assert table[3:] == pytest.approx([66.6, 66.6, 10.0], abs=0.1)
@@ -196,7 +199,7 @@ def test_shortest_rotation_from_up(along):
 
 
 def test_spectrum_over_altitude():
-    """Variance in bands of wave number, over many seeds, against the integral of the spectrum that was given."""
+    """Variance in bands of wave number, over many seeds, equals the integral of the given spectrum."""
     waves, density = np.array([1 / 2000, 1 / 400, 1 / 20]), np.array([3000.0, 400.0, 0.5])
     altitude = np.arange(0.0, 40e3, 5.0)
     bands = [(1 / 2000, 1 / 800), (1 / 800, 1 / 200), (1 / 200, 1 / 60), (1 / 60, 1 / 20)]
@@ -222,7 +225,7 @@ def test_spectrum_over_altitude():
 
 
 def test_the_shipped_spectrum_is_its_formula():
-    """The closed form, with 98.8 % of its variance between its ends."""
+    """The spectrum has its closed form, with 98.8 % of its variance between its ends."""
     loaded = load_scenario(
         "nominal", ("wind.turbulence={model='spectrum',spectrum='winds/small-scale-spectrum.csv',seed=4}",)
     )
@@ -262,7 +265,7 @@ def test_second_order_step_is_exact(theta):
 
 
 def test_start_is_stationary():
-    """No spin-up: over many seeds the first gust has already the full variance."""
+    """Over many seeds, the first gust has the full variance: no spin-up is needed."""
     first = np.array([history(seed, ticks=1)[0] for seed in range(2000)])
     assert first.std(axis=0) == pytest.approx(np.array(SIGMA), rel=4 / math.sqrt(2 * 2000))
 
@@ -299,7 +302,7 @@ def test_off_is_calm():
 
 
 def test_tick_length_enters_through_the_way_flown():
-    """Twice the tick at half the speed is the same field."""
+    """Twice the tick at half the speed gives the same field."""
     table = intensity_table(0.0, SIGMA, LENGTH)
     last = []
     for tick_ns, airspeed in [(10_000_000, 200.0), (20_000_000, 100.0)]:
@@ -311,7 +314,7 @@ def test_tick_length_enters_through_the_way_flown():
 
 
 def test_preset_intensities():
-    """Figure 7 at a tabulated altitude, and the low-altitude model at 500 ft, worked by hand."""
+    """The presets equal figure 7 at a tabulated altitude, and the low-altitude model at 500 ft by hand."""
     for level, at_15000_ft, wind_kt in [("light", 4.6, 15), ("moderate", 8.0, 30), ("severe", 22.1, 45)]:
         table = exceedance_table(level)
         assert table(15000 * FOOT_m) == pytest.approx([at_15000_ft * FOOT_m] * 3 + [1750 * FOOT_m] * 3)
@@ -341,7 +344,7 @@ def test_impossible_intensities_are_refused():
 
 @pytest.mark.parametrize(("frame", "turned"), [("body", False), ("horizontal", True)])
 def test_the_gust_enters_the_flow_in_its_frame(frame, turned):
-    """Velocity relative to the air with and without a gust, in B, at an attitude and place of no symmetry."""
+    """The flow velocity in B changes by the gust, at an asymmetric attitude and place."""
     more = ("wind.speed_mps=12", "wind.from_deg=250", f"wind.turbulence={{exceedance='light',frame='{frame}'}}")
     packed = pack_flight(load_scenario("nominal", more).scenario)
     environment, y = packed.parameters[0].environment, packed.state.copy()

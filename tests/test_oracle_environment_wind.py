@@ -1,4 +1,4 @@
-"""Wind: signs, profile, gust shapes against their definitions."""
+"""Wind has the signs, profile and gust shapes of its definitions."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_wind_blows_from_its_direction(from_deg, north, east):
 
 
 def test_components_do_not_spin_through_south_at_north():
-    """350 and 10 degrees: half-way is a northerly, where interpolated directions would give a southerly."""
+    """Half-way between 350 and 10 degrees the wind is northerly; interpolated directions would give a southerly."""
     row, pool = profiled([0.0, 1000.0], wind_components([10.0, 10.0], [350.0, 10.0]))
     north, east, _ = wind_ned(row, pool, 500.0)
     assert north == pytest.approx(-10.0 * math.cos(math.radians(10.0)))

@@ -1,4 +1,4 @@
-"""Faults of a scenario: sensor faults against their definitions, instants, events, and that none means none."""
+"""Sensor faults follow their definitions, instants and events, and a scenario without faults is unchanged."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def healthy() -> Flight:
 
 
 def measured(flight: Flight, axis: str) -> tuple[Array, Array]:
-    """Return the times of the samples and the angle measured so far, deg."""
+    """Return the times of the samples and the measured angle, deg."""
     return flight.time_s(f"{axis}_measured_deg")[:-1], flight[f"{axis}_measured_deg"][:-1]  # the end is no sample
 
 
@@ -176,7 +176,7 @@ NOISE = ("noise_deg_rt_h = 30.0", "noise_deg_rt_h = 30.0", "noise_mps_rt_h = 30.
 
 @pytest.mark.parametrize("sensor", range(3))
 def test_each_sensor_fails_by_itself(sensing: Flight, sensor: int) -> None:
-    """All four faults after each other; what the computer counts is the mean of the output over each sample."""
+    """All four faults follow each other; the computer counts the mean of the output over each sample."""
     kinds = [WHICH[sensor].format(kind) for kind in ("bias", "stuck", "dead", "noisy")]
     faulty = flown(
         f'{{kind = "{kinds[0]}, at_s = 1.0, until_s = 1.5, {BIAS[sensor]}}}, '

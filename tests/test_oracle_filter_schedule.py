@@ -1,13 +1,13 @@
-"""Bending filters that change over the flight.
+"""Bending filters that change during the flight agree with these oracles.
 
-| what | oracle |
+| case | oracle |
 |---|---|
 | kernel at constant parameters | python-control's prewarped transfer function, SciPy's `lfilter` |
 | kernel with moving parameters | SciPy's `solve_ivp` on the continuous equations; order 2 in the period |
 | constant input, any change | the input, to the last bit |
 | no input, any change | the energy of the integrators does not grow |
 | law at an instant, held design, certificate's loop | python-control, with parameters by `numpy.interp` |
-| variables of the optimiser, with their derivatives | numpy in complex arithmetic; differences |
+| variables of the optimiser, with their derivatives | NumPy in complex arithmetic; differences |
 | change of the response by the motion | the continuous equations, demodulated |
 | separation: the moving filter fades out, frozen | `lfilter` on the response so far |
 """
@@ -70,7 +70,7 @@ RISING = FilterSchedule((1.0, 3.0), (FIRST, LAST))
 
 
 class Moving:
-    """A moving filter in one axis, sample by sample."""
+    """A moving filter in one axis, processed sample by sample."""
 
     def __init__(self, schedule: FilterSchedule, sample_s: float) -> None:
         pool = Pool()
@@ -103,7 +103,7 @@ def sampled(filter_: BendingFilter, sample_s: float) -> control.TransferFunction
 
 
 def between(at: float) -> BendingFilter:
-    """Return the filter of `RISING` at a value, by numpy."""
+    """Return the filter of `RISING` at a value, interpolated by NumPy."""
 
     def mixed(a: Any, b: Any, key: str) -> float:
         return float(np.interp(at, [1.0, 3.0], [getattr(a, key), getattr(b, key)]))
@@ -127,7 +127,7 @@ def test_a_filter_at_rest_has_the_response_of_python_control(at: float) -> None:
 
 
 def derivative(t: float, x: Array, drive: Any) -> tuple[Array, float]:
-    """Return the continuous equations at time t: rates of the states, and the output."""
+    """Return the continuous equations at time t: rates of the states, and output."""
     filter_, u, dx = between(t), drive(t), []
     for i, q in enumerate(filter_.quadratic):
         w, r = 2 * np.pi * q.pole_hz, q.pole_hz / q.zero_hz
@@ -142,7 +142,7 @@ def derivative(t: float, x: Array, drive: Any) -> tuple[Array, float]:
 
 
 def test_a_moving_filter_follows_the_continuous_equations_with_order_two() -> None:
-    """Parameters move over 2 s, as the filter of a mode would over a minute."""
+    """The error is of order two in the period; parameters move over 2 s instead of a mode's minute."""
 
     def drive(t: float) -> float:
         return float(np.sin(2 * np.pi * 3.0 * t) ** 3)
@@ -187,7 +187,7 @@ def test_no_change_makes_energy() -> None:
 
 
 class Flown:
-    """A computer with ideal converters, ticked with turns of the gyro about pitch and yaw."""
+    """A computer with ideal converters, ticked with rotations of the gyro about pitch and yaw."""
 
     def __init__(self, **filters: Any) -> None:
         self.pool = Pool()
@@ -221,7 +221,7 @@ class Flown:
 
 
 def test_the_computer_flies_the_schedule_and_fades_it_out_frozen() -> None:
-    """After the separation the filter stays at its last parameters and fades out over 20 samples."""
+    """After the separation, the filter keeps its last parameters and fades out over 20 samples."""
     schedule, n, cut = FilterSchedule((0.5, 1.5), (FIRST, LAST)), 20, 100
     flown = Flown(schedule=schedule)
     turns = 0.01 * np.random.default_rng(5).standard_normal(200)
@@ -336,7 +336,7 @@ def test_a_zero_keeps_its_half_plane_and_the_variable_is_that_of_the_gains() -> 
 
 @pytest.mark.slow  # two flights
 def test_a_schedule_of_equal_filters_flies_like_the_constant_one() -> None:
-    """Only rounding differs; the gimbal's converter may then take the neighbouring step."""
+    """Only rounding differs, after which the gimbal's converter may take the neighbouring step."""
     first = {"zero_hz": 9.3, "zero_zeta": 0.3, "pole_hz": 6.5, "pole_zeta": 0.6}
     text = "{" + ", ".join(f"{key} = {value}" for key, value in first.items()) + "}"
     common = ["run.duration_s=20", "wind.speed_mps=8.0", "wind.from_deg=200", "design.filter.structure=F2"]
@@ -357,7 +357,7 @@ def test_a_schedule_of_equal_filters_flies_like_the_constant_one() -> None:
 
 
 def demodulated(schedule_s: float, hz: float) -> complex:
-    """The response to exp(2 pi i hz t) in the middle of a change over `schedule_s`, by the continuous equations."""
+    """Return the response of the continuous equations to exp(2 pi i hz t) in the middle of a change."""
     start, middle = 2.0 - 0.5 * schedule_s, 2.0
 
     def at(t: float) -> float:  # of RISING, which changes from 1 to 3
@@ -376,7 +376,7 @@ def demodulated(schedule_s: float, hz: float) -> complex:
 
 @pytest.mark.parametrize("hz", [2.0, 11.0])
 def test_the_change_of_the_response_is_that_of_the_continuous_equations(hz: float) -> None:
-    """To first order: at a quarter of the rate, the rest is a sixteenth."""
+    """The first-order change agrees: at a quarter of the rate, the remainder is a sixteenth."""
     frozen, rest = between(2.0).frequency_response(2 * np.pi * hz), []
     for schedule_s in (4.0, 16.0):
         slope = RISING.slope(2.0) * 2.0 / schedule_s
@@ -388,13 +388,13 @@ def test_the_change_of_the_response_is_that_of_the_continuous_equations(hz: floa
 
 
 def ascent(change_s: float) -> dict[str, Any]:
-    """Return a notch that follows KSR-III's first mode, with its whole change within `change_s` before 40 s."""
+    """Return a notch that follows KSR-III's first mode and changes only within `change_s` before 40 s."""
     first, last = ({"zero_hz": hz, "zero_zeta": 0.3, "pole_hz": 0.7 * hz, "pole_zeta": 0.6} for hz in (9.3, 11.0))
     return section({"time_s": 40.0 - change_s, "quadratic": (first,)}, {"time_s": 40.0, "quadratic": (last,)})
 
 
 def test_a_schedule_that_is_too_fast_is_rejected() -> None:
-    """The change begins and ends between two operating points, which both see it."""
+    """A change that begins and ends between two operating points is rejected at both."""
     where = nodes("nominal", [10.0, 30.0, 45.0, 55.0])
     slow, fast = design(ascent(35.0)), design(ascent(0.05))
     by_slow, by_fast = (motion_checks(judge(where, own), own) for own in (slow, fast))
@@ -491,7 +491,7 @@ def test_variables_are_the_filter_at_each_node_and_linear_in_between() -> None:
     share = np.clip((times - np.take(NODES_S, i)) / np.diff(NODES_S)[i], 0.0, 1.0)[:, None]
 
     def own(y: Any) -> Any:
-        """(plants, n), in complex arithmetic."""
+        """Return the parameters (plants, n) in complex arithmetic."""
         rows = y.reshape(3, n)
         value = np.where(logarithmic, np.exp(rows), rows)
         mixed = value[i] * (1.0 - share) + value[i + 1] * share

@@ -1,6 +1,6 @@
-"""Bending filters against python-control and scipy.signal, which no one here wrote.
+"""Bending filters agree with python-control and scipy.signal.
 
-| what | oracle |
+| quantity | oracle |
 |---|---|
 | continuous frequency response | control.tf, evaluated at jω |
 | bilinear, prewarped, matched, zoh | control.sample_system of the whole product, by frequency response |
@@ -94,7 +94,7 @@ def test_gain_at_rest_is_one(bending: BendingFilter, method: str) -> None:
 
 @EVERY
 def test_zoh_is_step_invariant(bending: BendingFilter) -> None:
-    """The whole cascade, not each section, takes the continuous filter's values at the samples."""
+    """The whole cascade, not each section, equals the continuous filter's step response at the samples."""
     instants = np.arange(200) * SAMPLE_S
     tf = transfer_function(bending)
     state_space = control.tf2ss(tf)
@@ -151,7 +151,7 @@ def test_no_sections_pass_the_signal_as_it_is() -> None:
 
 @pytest.mark.parametrize(("sample_s", "prewarp_hz"), [(None, None), (0.01, 9.2), (0.004, 20.0)])
 def test_slope_and_curvature_of_the_frequency_axis(sample_s: float | None, prewarp_hz: float | None) -> None:
-    """By differences over ln f; what differences of fourth order leave is 1e-9 of it and rounding."""
+    """Slope and curvature equal fourth-order differences over ln f to 1e-9 and rounding."""
     x, h = np.log(np.array([0.3, 2.0, 9.2, 31.0])), 1e-3
 
     def s(n: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The distance along the ground, against published geodesics and the great circle."""
+"""The distance along the ground equals published geodesics and the great circle."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def dms(degrees: int, minutes: int, seconds: float) -> float:
 
 
 def test_flinders_peak_to_buninyong() -> None:
-    """Geoscience Australia, GDA technical manual, chapter 4: 54972.271 m on GRS 80."""
+    """The distance is 54972.271 m on GRS 80 (Geoscience Australia, GDA technical manual, chapter 4)."""
     flinders = (-dms(37, 57, 3.72030), dms(144, 25, 29.52440))
     buninyong = (-dms(37, 39, 10.15610), dms(143, 55, 35.38390))
     grs80 = (6378137.0, 1.0 / 298.257222101)
@@ -31,7 +31,7 @@ def test_flinders_peak_to_buninyong() -> None:
 
 
 def test_quarter_of_the_meridian_and_of_the_equator() -> None:
-    """WGS-84: 10001965.729 m from equator to pole (NIMA TR8350.2: 10001965.7293 m)."""
+    """The distance from equator to pole is 10001965.729 m on WGS-84 (NIMA TR8350.2: 10001965.7293 m)."""
     assert between((0.0, 20.0), (90.0, 20.0)) == pytest.approx(10001965.7293, abs=1e-3)
     assert between((0.0, 170.0), (0.0, -100.0)) == pytest.approx(0.5 * math.pi * WGS84[0], abs=1e-3)
 
@@ -70,6 +70,6 @@ def test_on_a_flat_earth_the_range_is_the_horizontal_distance() -> None:
 
 @pytest.mark.parametrize("site_m", [0.0, -12.5])
 def test_a_vehicle_that_leaves_a_pad_at_ground_level_has_not_come_down(site_m: float) -> None:
-    """The pad moves with the Earth: a nanometre of rounding above the ground is no flight, and back on it no impact."""
+    """On a pad that moves with the Earth, a nanometre of rounding is neither a flight nor, on return, an impact."""
     flight = fly(load_scenario("nominal", [f"site.altitude_m={site_m}", "run.duration_s=2.0"]), log=False)
     assert [e.name for e in flight.events if e.name in ("liftoff", "impact")] == ["liftoff"]

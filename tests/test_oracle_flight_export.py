@@ -1,10 +1,10 @@
-"""The exported law against the flown one, bit by bit, and exported matrices against python-control.
+"""The exported law equals the flown one bit for bit, and exported matrices agree with python-control.
 
-| what is checked | against |
+| item | against |
 |---|---|
 | C sources, double: unit test, commands of whole ascents | the built-in law, equal bits |
-| C sources, float | the built-in law, within what a gyro pulse does |
-| matrices: frequency response of the loop, its parts in series | the loop as `simdesign` sees it, python-control |
+| C sources, float | the built-in law, within the effect of a gyro pulse |
+| matrices: frequency response of the loop, its parts in series | the loop of `simdesign`, python-control |
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ prewarp_hz = 9.0
 
 
 def built(folder: Path, design: str, *more: str, single: bool = False) -> Path:
-    """Return the exported law as a library, after its unit test has passed. Warnings are errors."""
+    """Return the exported law as a library after its unit test passes. Warnings are errors."""
     assert simdesign.main(["export", design, "--c", str(folder / "law"), *more]) == 0
     flags = [*STRICT, *(["-DLAW_FLOAT"] if single else [])]
     sources = [folder / "law" / name for name in ("flight_law.c", "flight_law_tables.c")]
@@ -149,13 +149,13 @@ def built(folder: Path, design: str, *more: str, single: bool = False) -> Path:
 
 
 def moving(constant: re.Match[str]) -> str:
-    """The sections of a filter as a schedule: each zero is at 1.3 times its frequency when the stage burns out."""
+    """Return the sections of a filter as a schedule: at burnout each zero is at 1.3 times its frequency."""
     later = re.sub(r"zero_hz = ([\d.]+)", lambda zero: f"zero_hz = {1.3 * float(zero[1])}", constant[1])
     return f"schedule = [{{ time_s = 5.0, quadratic = {constant[1]} }}, {{ time_s = 121.0, quadratic = {later} }}]"
 
 
 def assert_same_commands(own: Flight, built_in: Flight) -> None:
-    """Each command and the state to the last bit; the C code's own output converter gives what the simulator's does."""
+    """Check that each command and the state are bit-identical; the C code's output converter equals the simulator's."""
     for command, monitor in zip(COMMANDS, ("monitor_1", "monitor_2"), strict=True):
         assert (own[command] == built_in[command]).all()
         late = np.radians(own[command][13::10])  # the command takes effect 3 ms after its sample
@@ -205,7 +205,7 @@ def _unquantised(folder: Path) -> str:
 @pytest.mark.slow
 @needs_compiler
 def test_single_precision_stays_within_what_a_gyro_pulse_does(tmp_path: Path) -> None:
-    """A command that rounds the other way shifts the pulses that follow: one more in a sample is 0.057 deg/s."""
+    """A command that rounds differently shifts later pulses; one more pulse in a sample is 0.057 deg/s."""
     library = built(tmp_path, "ksr3-robust", single=True)
     built_in = fly(load_scenario("nominal", POWERED))
     own = fly(load_scenario("nominal", [*POWERED, *flies(library=library)]))
@@ -242,10 +242,10 @@ def test_dispersed_flights_have_the_same_bits(tmp_path: Path) -> None:
 @needs_compiler
 @pytest.mark.slow
 def test_a_vehicle_of_several_stages_and_groups(tmp_path: Path) -> None:
-    """Fly an exported law of three stages across both separations.
+    """An exported law of three stages flies across both separations.
 
-    Each stage has its own gains and filters, and the previous filters fade out. The first and third stage have a
-    filter of the rate; the total gain adapts. The bending filter of the first stage changes over the flight.
+    Each stage has its own gains and filters, and the previous filters fade out. The first and third stage have a filter
+    of the rate; the total gain adapts. The bending filter of the first stage changes during the flight.
     """
     folder = tmp_path / "petrel"
     shutil.copytree(petrelkit.folder(), folder)
@@ -280,7 +280,7 @@ def matrices(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_exported_matrices_are_the_loop_for_python_control(matrices: Path) -> None:
-    """The loop has the response that simdesign judges; path and law in series are the loop."""
+    """The loop has the response that simdesign judges, and path and law in series equal the loop."""
     nodes = json.loads((matrices / "loop.json").read_text())["nodes"]
     hz = np.array([0.1, 0.5, 3.0, 9.5, 27.0])
     for node, time_s in zip(nodes, (30.0, 50.0), strict=True):
@@ -301,7 +301,7 @@ def test_exported_matrices_are_the_loop_for_python_control(matrices: Path) -> No
 
 
 def test_slicot_finds_the_least_distance_in_the_exported_matrices(matrices: Path) -> None:
-    """AB13DD: the H-infinity norm of 1 / (1 + L) over all frequencies, from A, B, C, D alone."""
+    """SLICOT's AB13DD finds the H-infinity norm of 1 / (1 + L) over all frequencies from A, B, C, D alone."""
     pytest.importorskip("slycot")
     for node in json.loads((matrices / "loop.json").read_text())["nodes"]:
         loop = control.ss(*(np.array(node["loop"][m]) for m in "ABCD"), node["loop"]["sample_time_s"])

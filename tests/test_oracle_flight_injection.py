@@ -1,4 +1,4 @@
-"""Injected signals against their textbook forms, and the limits beyond which a flight counts as diverged."""
+"""Injected signals equal their textbook forms, and flights beyond the limits end as diverged."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""Flight code from outside against the built-in law, and the interface as a C compiler sees it.
+"""External flight code agrees with the built-in law, and the interface with a C compiler.
 
-| what is checked | against |
+| item | against |
 |---|---|
 | layout of the structs | offsetof and sizeof of a C compiler |
 | PD law by hand in C and in Python, and with an observer | the built-in law, over the nominal flight |
-| the same law in a process of its own, over TCP and UDP | the built-in law |
-| the observer's estimate | angular acceleration of the log less the gimbal's part |
+| the same law in a separate process, over TCP and UDP | the built-in law |
+| the observer's estimate | angular acceleration of the log less the gimbal's contribution |
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def test_the_law_by_hand_in_python_flies_as_the_built_in(built_in: Flight) -> No
 @pytest.mark.slow
 @needs_compiler
 def test_an_observer_beside_the_law_sees_a_disturbance(tmp_path: Path, built_in: Flight) -> None:
-    """A steady moment of known angular acceleration appears in the estimate, within its model's accuracy."""
+    """A steady moment of known angular acceleration appears in the estimate, within the accuracy of its model."""
     library = compiled(tmp_path, EXAMPLES / "pd_observer.c", "pd_observer")
     flight = fly(load_scenario("nominal", [*POWERED, *flies(library=library)]))
     assert farthest_deg(flight, built_in) <= 1.001 * DAC_STEP_DEG
@@ -113,7 +113,7 @@ def test_an_observer_beside_the_law_sees_a_disturbance(tmp_path: Path, built_in:
 @needs_compiler
 @pytest.mark.parametrize("kind", ["tcp", "udp"])
 def test_a_computer_behind_a_socket_flies_as_the_built_in(tmp_path: Path, built_in: Flight, kind: str) -> None:
-    """A process of its own in lock-step, linked with the C law; twice, one flight after the other."""
+    """A separate process in lock-step, linked with the C law, flies as the built-in law, in two successive flights."""
     program = compiled(tmp_path, EXAMPLES / "computer.c", "computer", str(EXAMPLES / "pd_law.c"), program=True)
     with subprocess.Popen([program, kind, "0"], stdout=subprocess.PIPE, text=True) as process:
         try:
@@ -130,7 +130,7 @@ def test_a_computer_behind_a_socket_flies_as_the_built_in(tmp_path: Path, built_
 
 
 def test_a_computer_that_does_not_answer_ends_the_flight() -> None:
-    """Silent, wrong, and lost computers, over TCP and UDP."""
+    """Silent, wrong and lost computers end the flight, over TCP and UDP."""
     loaded = {}
     for name, kind in (("silent", socket.SOCK_STREAM), ("garbled", socket.SOCK_STREAM), ("lost", socket.SOCK_DGRAM)):
         with socket.socket(socket.AF_INET, kind) as mute:
@@ -152,7 +152,7 @@ def test_a_computer_that_does_not_answer_ends_the_flight() -> None:
 
 
 def _answers_three(where: socket.socket, name: str) -> None:
-    """A computer that answers its setup and two samples, and then no more, or nonsense."""
+    """Answer the setup and two samples as a computer, then nothing or invalid data."""
     peer = where.accept()[0] if where.type == socket.SOCK_STREAM else where
     try:
         for number in range(4):

@@ -1,7 +1,7 @@
-"""Loops whose delay is no whole number of samples, against the sum over the images of the sampled spectrum.
+"""Loops with a delay of a fractional number of samples equal the sum over the images of the sampled spectrum.
 
-A sampled path answers exp(j w t) by the sum of its continuous response at all w + 2 pi k / T (Poisson's summation). The
-margins take the modified z-transform of each pole instead, so that the two share no formula.
+The response of a sampled path to exp(j w t) is the sum of its continuous response at all w + 2 pi k / T (Poisson's
+summation). The margins use the modified z-transform of each pole, so that the two share no formula.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ IMAGES = 200_000  # to either side: what is left of the slowest series falls wit
 
 
 def summed(hz: Array, poles: np.ndarray, residues: np.ndarray, delay_s: float) -> np.ndarray:
-    """Return the response of a hold, a delay, a path by poles and residues, an average over a period, and a sampler."""
+    """Return the response of hold, delay, path by poles and residues, average over a period, and sampler."""
     s = 2j * np.pi * (hz[:, None] + np.arange(-IMAGES, IMAGES + 1) / PERIOD_S)
     path = sum(residue / (s - pole) for pole, residue in zip(poles, residues, strict=True))
     once = -np.expm1(-2j * np.pi * hz * PERIOD_S) / PERIOD_S
@@ -27,7 +27,7 @@ def summed(hz: Array, poles: np.ndarray, residues: np.ndarray, delay_s: float) -
 
 @pytest.mark.parametrize("samples", [0.0, 0.37, 1.0, 1.85, 2.5])
 def test_response_of_a_delay_of_any_number_of_samples(samples: float) -> None:
-    """A lag of 3 rad/s, a mode of 0.5 % damping at 9 Hz and an actuator pair above the Nyquist frequency."""
+    """A lag of 3 rad/s, a mode of 0.5 % damping at 9 Hz and an actuator pair above the Nyquist frequency agree."""
     poles = np.array([-3.0, -0.28 + 56.5j, -0.28 - 56.5j, -60.0 + 190.0j, -60.0 - 190.0j])
     residues = np.array([4.0, 0.2 + 0.6j, 0.2 - 0.6j, -2.0 + 5.0j, -2.0 - 5.0j])
     whole, rest_s = int(samples), (samples - int(samples)) * PERIOD_S

@@ -1,4 +1,4 @@
-"""Wind along the body: each part meets it at its own place. Sums over stations and integrals by hand are the oracle."""
+"""In wind that varies along the body, forces equal sums over stations and integrals by hand."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ ON = {"switches": {"gust_penetration": True, "bending_softening": False}}
 
 
 def in_wind(aero: Tree, parts: Parts = PARTS, wind: Tree | None = None, **changes: Any) -> Rig:
-    """Return the vehicle along its own axis through gust and profile, over a flat Earth."""
+    """Return the vehicle along its axis through gust and profile, over a flat Earth."""
     ahead = SPEED * attitude()[:, 0]
     start = {
         "euler_deg": list(EULER_DEG),
@@ -56,7 +56,7 @@ def in_wind(aero: Tree, parts: Parts = PARTS, wind: Tree | None = None, **change
 
 
 def attitude() -> Array:
-    """Return the axes of B in north, east, down, as columns: yaw, pitch, roll in turn."""
+    """Return the axes of B in north, east, down, as columns, from yaw, pitch and roll."""
     yaw, pitch, roll = np.radians(EULER_DEG)
     turns = []
     for angle, k in ((yaw, 2), (pitch, 1), (roll, 0)):
@@ -70,7 +70,7 @@ def attitude() -> Array:
 
 
 def wind_at(altitude: float) -> Array:
-    """Return the motion of the air, north, east, down."""
+    """Return the velocity of the air, north, east, down."""
     height = altitude - GUST["altitude_m"]
     share = (
         0.5 - 0.5 * math.cos(2 * math.pi * height / GUST["thickness_m"]) if 0 < height < GUST["thickness_m"] else 0.0
@@ -83,7 +83,7 @@ def wind_at(altitude: float) -> Array:
 
 
 def flow_at(station: float) -> Array:
-    """Velocity of the body relative to the air at a station, in B; the CG's place is the reference of altitude."""
+    """Return the velocity of the body relative to the air at a station, in B; altitudes refer to the CG."""
     axes = attitude()
     altitude = ALTITUDE - axes[2, 0] * (PARTS.core_cg[0] - station)
     return np.asarray(axes.T @ (SPEED * axes[:, 0] - wind_at(altitude)))
@@ -144,7 +144,7 @@ def test_table_meets_the_wind_of_its_station() -> None:
 
 
 def test_wind_of_a_station_over_a_round_earth() -> None:
-    """The air of a station is that of its own height wherever on Earth; 14 m of curvature are 2e-5 m of height."""
+    """The air at a station is that of its height, to the 2e-5 m by which the Earth curves over 14 m."""
     place = {"geodetic": {"latitude_deg": 33.0, "longitude_deg": -126.0, "altitude_m": ALTITUDE}}
     round_earth = {"earth": {"shape": "wgs84", "rotating": True}, "atmosphere": {**AIR, "model": "constant"}}
     aero = {
@@ -160,10 +160,10 @@ def test_wind_of_a_station_over_a_round_earth() -> None:
 
 
 def test_slender_body_on_the_edge_of_a_gust() -> None:
-    """Uniform lift over 14 m, by Gauss's rule, against the integrals over the rising edge in closed form.
+    """For uniform lift over 14 m, Gauss's rule equals closed-form integrals over the rising edge of a gust.
 
-    Vertically upwards: w(s) = W (1 - cos(pi s / e)) / 2 at s above the gust's beginning. With a uniform lift per length
-    n the force is -n U int w dx and its moment about the CG n U int (x_cg - x) w dx.
+    Vertically upwards, w(s) = W (1 - cos(pi s / e)) / 2 at s above the gust's beginning. With a uniform lift per length
+    n the force is -n U int w dx, and its moment about the CG is n U int (x_cg - x) w dx.
     """
     nodes, weights = np.polynomial.legendre.leggauss(8)
     stations, shares = 7.0 * (1.0 + nodes), weights / 2.0
@@ -198,9 +198,9 @@ def test_slender_body_on_the_edge_of_a_gust() -> None:
 # --- turbulence: the field that the nose has flown through
 @pytest.mark.parametrize("speeds", [[420.0] * 60, [2.0] * 900, list(np.linspace(0.0, 500.0, 300)), [0.0] * 20])
 def test_history_is_the_field_behind(speeds: list[float]) -> None:
-    """A field over distance, met at ticks of 10 ms; between them linear, as the present gust is.
+    """A field over distance, sampled at ticks of 10 ms, is linear between them, as the present gust is.
 
-    Places nearer to each other than reach / 60 share one: a slow vehicle's field is sampled there, to 1e-2 here.
+    Places nearer to each other than reach / 60 share one sample; a slow vehicle's field is exact to 1e-2 here.
     """
     reach, tick, waves = 14.0, 0.01, np.array([0.9, 0.7, 0.5])
     slow = min(speeds) * tick < reach / 60
@@ -222,9 +222,9 @@ def test_history_is_the_field_behind(speeds: list[float]) -> None:
 
 
 def test_flight_through_turbulence_meets_one_field() -> None:
-    """The flow at a station is that of a flight without penetration, later by its distance to the nose.
+    """The flow at a station equals that without penetration, delayed by its distance from the nose.
 
-    At the CG, and at a surface whose force is too small to move anything and tells the flow across it.
+    It is compared at the CG, and at a surface whose force is negligible and which gives the cross-flow.
     """
     speed, x_cg, x_fin = 400.0, PARTS.core_cg[0], 2.5
     touch = {"table": {"mach": [0.0], "CN_alpha_pr": [1e-9], "station_m": [x_fin]}}
@@ -265,7 +265,7 @@ def test_flight_through_turbulence_meets_one_field() -> None:
 
 @pytest.mark.slow
 def test_what_one_gust_for_the_whole_body_makes_wrong() -> None:
-    """KSR-III, a wind that oscillates at mode 1 in flight: 48/24/15 % and 18 to 33 % in the review of the model."""
+    """A single gust for the whole of KSR-III is wrong by 48/24/15 % and 18 to 33 % in wind oscillating at mode 1."""
     loaded = load_scenario("nominal")
     stations = np.array(surface_stations(loaded.scenario.vehicle.stage[0]))
     found = []
@@ -291,7 +291,7 @@ AXIAL, DAMPING, TILT_DEG = 0.4, -60.0, 75.0
 
 
 def wall_mps(altitude: float) -> float:
-    """Return the north component of the wind: raised cosines at the edges, constant between them."""
+    """Return the north wind: raised cosines at the edges, constant between them."""
     total = 0.0
     for beginning, thickness, edge, speed in WALLS:
         inside = min(altitude - beginning, beginning + thickness - altitude)
@@ -300,7 +300,7 @@ def wall_mps(altitude: float) -> float:
 
 
 def planar_rates(_time: float, state: Array, penetration: bool) -> Array:
-    """North, altitude, pitch angle of the axis above the horizon and their rates (docs/model.md, section 6)."""
+    """Return the rates of north, altitude, pitch angle above the horizon and their rates (docs/model.md, section 6)."""
     _, altitude, pitch, north_mps, up_mps, q = state
     c, s = math.cos(pitch), math.sin(pitch)
     mass, cg, inertia = PARTS.core_mass_kg, PARTS.core_cg[0], PARTS.core_inertia[1][1]
@@ -323,7 +323,7 @@ def planar_rates(_time: float, state: Array, penetration: bool) -> Array:
 
 @pytest.mark.parametrize("penetration", [True, False])
 def test_flight_through_gusts(penetration: bool) -> None:
-    """SciPy's integration of the plane motion, 75 deg above the horizon, through a short gust and a longer one."""
+    """SciPy's integration of the plane motion, 75 deg above the horizon, agrees through a short and a longer gust."""
     tables = [{"table": {"mach": [0.0], "CN_alpha_pr": [cn], "station_m": [x]}} for x, cn in SURFACES]
     aero = {"table": {"mach": [0.0], "CA": [AXIAL], "Cmq": [DAMPING]}, "surface": tables}
     pitch = math.radians(TILT_DEG)

@@ -1,7 +1,7 @@
-"""Flight code in held flights against the same code in its flight.
+"""Flight code in held flights behaves as in its flight.
 
-Code that has another gain wherever it finds itself tested must be seen with the gain that it flies. The reference is
-the law of ksr3-robust by hand (examples/flight_software), whose linear loop is known.
+Code that changes its gain under test must be measured with the gain that it flies. The reference is the law of
+ksr3-robust by hand (examples/flight_software), whose linear loop is known.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def held(of: LoadedScenario, time_s: float = NODE_S) -> HeldFlight:
 
 
 def gain_of(code: Path | str, key: str = "library") -> float:
-    """Return the measured L of flight code relative to the design's loop, the mean over three lines."""
+    """Return the measured L of flight code relative to the design's loop, as the mean of three lines."""
     at, design = held(loaded(code, key, EARLY), EARLY_S), load_scenario("nominal").design
     assert design is not None
     loop = maxq.loops([at.node], design)[0]
@@ -123,7 +123,7 @@ def test_python_code_that_watches_the_clock_shows_the_gain_that_it_flies(tmp_pat
 
 @pytest.mark.slow
 def test_the_margin_of_code_that_watches_the_clock_is_rejected(tmp_path: Path) -> None:
-    """The linear loop has 6.33 dB; 1.8 times the gain takes 5.11 dB of it."""
+    """The linear loop has 6.33 dB; 1.8 times the gain reduces it by 5.11 dB, and the code is rejected."""
     node = maxq.nodes("nominal", [NODE_S])[0]
     found = measure_node(loaded(library(tmp_path, *WATCHES["time"])), node, bands=(), names=("gain_up",))
     assert found.margin("gain_up") == pytest.approx(6.33 - 20.0 * np.log10(GAIN), abs=0.2)
@@ -136,7 +136,7 @@ def test_the_margin_of_code_that_watches_the_clock_is_rejected(tmp_path: Path) -
 def test_code_with_another_law_where_nothing_is_excited_differs_from_its_design(
     gain: str, judgement: str, tmp_path: Path
 ) -> None:
-    """Code that recognises the excitation of the certificate agrees there; the flights of the suite have none."""
+    """Code that recognises the certificate's excitation agrees there, but differs in the suite's flights without it."""
     code = library(tmp_path, tested=f"{gain} == 1.0")
     gust = "{kind='one-minus-cosine',altitude_m=900.0,thickness_m=120.0,edge_m=50.0,speed_mps=10.0,from_deg=200.0}"
     changes = ["run.duration_s=20", f"wind.gust=[{gust}]", *flies(library=code)]
@@ -216,7 +216,7 @@ def test_the_constant_of_an_integral_is_found_and_a_schedule_has_none() -> None:
 
 @pytest.mark.long
 def test_the_response_in_flight_is_that_of_the_held_flight(tmp_path: Path) -> None:
-    """With the loop of the design as that of the held flight; half its gain there is a difference on most lines."""
+    """The response in flight agrees with the design's loop; a loop of half the gain leaves most lines unexplained."""
     of, design = loaded(library(tmp_path, tested="1")), load_scenario("nominal").design
     assert design is not None
     node = maxq.nodes("nominal", [NODE_S])[0]

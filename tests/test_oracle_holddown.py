@@ -1,6 +1,6 @@
-"""A clamped tail against a clamped beam of finite elements, and the release against an integrated modal model.
+"""A clamped tail equals a clamped beam of finite elements, and the release an integrated modal model.
 
-| what | against |
+| quantity | against |
 |---|---|
 | deflection on a tilted pad under the beam's own weight | finite elements with geometric stiffness |
 | frequencies on the pad | eigenvalues of the clamped finite elements |
@@ -29,7 +29,7 @@ FREE = slice(None, -2)  # of the finite elements: all nodes but the tail
 
 
 def on_the_pad(count: int, pitch_deg: float = 90.0, **sections: Any) -> Tree:
-    """Return the beam's first modes in pitch, clamped at the tail, where the engine has its gimbal."""
+    """Return the beam's first modes in pitch, clamped at the tail at the engine's gimbal."""
     site = {
         "initial": {"held": True, "euler_deg": [0.0, pitch_deg, 0.0]},
         "holddown": {"release": "time", "release_s": 0.3, "clamped": True},
@@ -48,7 +48,7 @@ def tilted(q: Array, angle: float) -> Array:
 
 
 class Clamped:
-    """A packed vehicle on the pad, whose body axes lean with its modes so that the tail does not."""
+    """A packed vehicle on the pad, whose body axes lean with its modes to keep the tail fixed."""
 
     def __init__(self, tree: Tree, count: int) -> None:
         self.made: Rig = rig(tree)
@@ -64,25 +64,25 @@ class Clamped:
         return evaluate_at(self.made.packed, y, 0.0).rate[place.stop : place.stop + len(eta)].copy()
 
     def stiffness(self) -> Array:
-        """Return the derivatives of the accelerations by the coordinates (count, count)."""
+        """Return the derivatives of the accelerations with respect to the coordinates (count, count)."""
         units = 1e-3 * np.eye(len(self.phi))
         return np.stack([self.acceleration(unit) - self.acceleration(-unit) for unit in units], axis=1) / 2e-3
 
     def shape(self, eta: Array) -> Array:
-        """Return the deflection of the nodes relative to the tail."""
+        """Return the deflections of the nodes relative to the tail."""
         bent, turned = eta @ self.phi, eta @ self.slope
         return np.asarray(bent - bent[-1] - turned[-1] * (a_beam().x - LENGTH_M))
 
 
 def leaning(count: int) -> Array:
-    """Free modes less the motion of their tail, over (w, w') of every node but the tail (nodes, count)."""
+    """Return the free modes less the motion of their tail, over (w, w') of every node but the tail (nodes, count)."""
     _, _, phi, slope = a_beam().modes(count)
     bent = phi - phi[:, -1:] - slope[:, -1:] * (a_beam().x - LENGTH_M)
     return np.stack([bent, slope - slope[:, -1:]], axis=2).reshape(count, -1)[:, FREE].T
 
 
 def test_a_column_that_leans_on_its_clamp_bends_as_finite_elements_do() -> None:
-    """At 80 degrees, weight pushes along the axis and across it: finite elements in the span of the leaning modes."""
+    """At 80 degrees, weight acts along and across the axis; finite elements in the span of the leaning modes agree."""
     count, pitch = 6, math.radians(80.0)
     pad = Clamped(on_the_pad(count, 80.0, earth={"gravity": "uniform"}), count)
     gravity = float(np.linalg.norm(evaluate_at(pad.made.packed, pad.made.packed.state, 0.0).aux.air.gravitation_I_mps2))
@@ -101,7 +101,7 @@ def test_a_column_that_leans_on_its_clamp_bends_as_finite_elements_do() -> None:
 
 
 def test_modes_on_the_pad_are_those_of_a_cantilever() -> None:
-    """Those of finite elements in the span of the leaning modes. The whole span is reached as 1 / count."""
+    """The modes are those of finite elements in the span of the leaning modes, which converges as 1 / count."""
     k, m = a_beam().matrices()
     found = {}
     for count in (6, 12):
@@ -118,7 +118,7 @@ def test_modes_on_the_pad_are_those_of_a_cantilever() -> None:
 
 
 def test_motion_on_the_pad_and_after_the_release() -> None:
-    """The beam is bent, let go on the pad, and released after 0.3 s; rigid motion is the modes' own until then."""
+    """The beam is bent, released on the pad, and freed after 0.3 s; until then only modes give rigid motion."""
     count, zeta = 3, 0.01
     tree = on_the_pad(count)
     tree["vehicle"]["stage"][0]["bending"]["damping_ratio"] = [zeta] * count
@@ -182,7 +182,7 @@ def test_both_planes_swing_alike_on_the_clamp() -> None:
 
 
 def test_the_tail_stays_under_all_loads() -> None:
-    """Thrust on a misaligned engine, weight, wind and liquid on a turning Earth: the tail moves with the ground.
+    """Under misaligned thrust, weight, wind and liquid on a turning Earth, the tail moves with the ground.
 
     The bob swings by 5 degrees. Its tension varies by 1.5 times their square, on a twentieth of the mass: 6 mm/s2, over
     200 per second.

@@ -1,8 +1,8 @@
-"""The excess of limits that cannot be met together, against a global search that shares nothing with the optimiser.
+"""The least excess of incompatible limits equals that of a global search without the optimiser's code.
 
-SciPy's differential evolution over filter and gains, polished by Nelder & Mead. It judges a design by sign changes
+SciPy's differential evolution over filter and gains is polished by Nelder & Mead. It judges a design by sign changes
 between dense points of L = F (k_p / s + k_d) P, by the winding of 1 + L about zero, and by (35), (36) of the paper. A
-phase is worth the gain margin over the phase margin, as the optimiser counts it.
+phase counts as the gain margin over the phase margin, as in the optimiser.
 """
 
 from __future__ import annotations
@@ -22,9 +22,7 @@ DB = 20.0 / math.log(10.0)
 
 
 def violation(loaded, plants) -> Callable[[np.ndarray], float]:
-    """Return the missing dB as a function of ln zero_hz, zero_zeta, ln pole_hz, pole_zeta, ln k_p and ln k_d at both
-    ends.
-    """
+    """Return the missing dB over ln zero_hz, zero_zeta, ln pole_hz, pole_zeta, ln k_p and ln k_d at both ends."""
     limits = loaded.case.limits
     least, per_deg = limits.gain_margin_db, limits.gain_margin_db / limits.phase_margin_deg
     times = plants.times_s

@@ -1,4 +1,4 @@
-"""The integrator: its own damping by closed form, applied to a matrix and in the simulator; steps by accuracy."""
+"""The integrator has the numerical damping of its closed form, and chooses its steps by accuracy."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_leading_order_and_the_figures_of_the_documents(hz: float, added: float)
 @pytest.mark.parametrize("zeta", [0.0, 0.01, 0.15, 0.7])
 @pytest.mark.parametrize("x", [0.05, 0.4, 1.2, 2.5, 2.9])
 def test_against_the_method_applied_to_a_matrix(x: float, zeta: float) -> None:
-    """Eigenvalues of a step of y' = A y, worked out stage by stage."""
+    """The eigenvalues of a step of y' = A y equal those worked out stage by stage."""
     a = np.array([[0.0, 1.0], [-1.0, -2.0 * zeta]])
     k_1 = a
     k_2 = a @ (np.eye(2) + 0.5 * x * k_1)
@@ -54,7 +54,7 @@ def test_against_the_method_applied_to_a_matrix(x: float, zeta: float) -> None:
 
 
 def test_the_simulator_damps_a_fast_mode_as_told() -> None:
-    """Check an undamped mode of 100 Hz in empty space, undisturbed for 0.5 s."""
+    """An undamped mode of 100 Hz in empty space, undisturbed for 0.5 s, decays by the closed form."""
     mode = Mode(100.0, 500.0, (1.0, 0.4, -0.2, -0.4, 0.5, 1.1), (-0.3, -0.3, -0.2, 0.2, 0.3, 0.3), 0.0)
     made = rig(scenario_of(Parts(pitch=(mode,)), run={"step_s": 0.001}))
     eta = int(eta_index(made.sizes))
@@ -103,7 +103,7 @@ IDEAL = (  # converters, DAC and roll thrusters know steps only: their scatter w
 
 
 def expected(d: Array, h: float) -> list[Array]:
-    """Return the matrices of a block, from the exponential of a larger matrix (Sidje, ACM TOMS 24, 1998, 130)."""
+    """Return the matrices of a block from the exponential of a larger matrix (Sidje, ACM TOMS 24, 1998, 130)."""
     n = len(d)
 
     def phi(t: float) -> list[Array]:
@@ -135,7 +135,7 @@ def test_matrices_of_an_oscillator(hz: float, zeta: float, h: float) -> None:
 @pytest.mark.parametrize("act_on", ["servo", "engine"])
 @pytest.mark.parametrize("model", ["second-order", "fourth-order", "sixth-order"])
 def test_matrices_of_an_actuator(model: str, act_on: str) -> None:
-    """D is the derivative of the states by themselves, by differences."""
+    """D equals the derivative of the states with respect to themselves, by differences."""
     given = load_scenario("nominal").vehicle.stage[0].actuator
     assert not isinstance(given, tuple)
     count = {"second-order": 1, "fourth-order": 2, "sixth-order": 4}[model]
@@ -155,7 +155,7 @@ def test_matrices_of_an_actuator(model: str, act_on: str) -> None:
 
 
 def functions_of(d: Array, h: float) -> Array:
-    """Return the seven matrices of a block, by the simulator."""
+    """Return the seven matrices of a block, computed by the simulator."""
     n, kept = len(d), np.zeros(7 * 36 + 72)
     kept[: n * n] = d.ravel()
     _put_functions(kept, 0, n, h, 7 * 36)
@@ -164,7 +164,7 @@ def functions_of(d: Array, h: float) -> Array:
 
 @pytest.mark.parametrize("h", [1.0, 2.0])
 def test_matrices_of_a_turn_by_a_radian(h: float) -> None:
-    """exp(t D) of D = [[0, 1], [-1, 0]] turns by t: forced motion is (sin t, 1 - cos t), of any t."""
+    """exp(t D) of D = [[0, 1], [-1, 0]] turns by t, and forced motion is (sin t, 1 - cos t), for any t."""
     d = np.array([[0.0, 1.0], [-1.0, 0.0]])
     ours = functions_of(d, h)
     assert ours[3] == pytest.approx(math.sin(h) * np.eye(2) + (1.0 - math.cos(h)) * d, abs=1e-14)  # h phi_1
@@ -196,7 +196,10 @@ print(json.dumps([found, int(run.memory.clock.steps)]))
 @pytest.mark.slow
 @pytest.mark.parametrize(("actuator", "drives"), [("full", 2), ("ideal", 0)])
 def test_each_length_of_step_has_its_matrices_once_and_for_all_that_swings(actuator: str, drives: int) -> None:
-    """Also when those of the modes have been renewed: a mode in each plane, actuators of order six, three gyros."""
+    """Each step length has its matrices once, also after those of the modes are renewed.
+
+    The vehicle has a mode in each plane, actuators of order six and three gyros.
+    """
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run(
         [sys.executable, "-c", LONG, actuator], env=environment, capture_output=True, text=True, check=True, timeout=300
@@ -212,7 +215,7 @@ def test_each_length_of_step_has_its_matrices_once_and_for_all_that_swings(actua
 
 @pytest.mark.slow
 def test_a_fast_mode_is_not_damped_by_steps_of_its_accuracy() -> None:
-    """Check an undamped mode of 100 Hz, undisturbed for 0.5 s: it is exact for every step."""
+    """An undamped mode of 100 Hz, undisturbed for 0.5 s, is exact for every step."""
     mode = Mode(100.0, 500.0, (1.0, 0.4, -0.2, -0.4, 0.5, 1.1), (-0.3, -0.3, -0.2, 0.2, 0.3, 0.3), 0.0)
     made = rig(scenario_of(Parts(pitch=(mode,)), run={"accuracy": 0.05}))
     eta = int(eta_index(made.sizes))
@@ -228,7 +231,7 @@ def by_accuracy() -> Flight:
 
 
 def test_pieces_between_two_instants_are_equal(by_accuracy: Flight) -> None:
-    """Commands take effect 3 ms after the samples of 10 ms: 3, 3.5 and 3.5 ms."""
+    """Commands take effect 3 ms after samples every 10 ms; the steps are 3, 3.5 and 3.5 ms."""
     assert by_accuracy.steps == pytest.approx(3 * 2000, abs=80)  # the schedule's breakpoints are instants, too
 
 
@@ -261,15 +264,20 @@ def test_local_errors_are_recorded_where_steps_follow_from_accuracy(by_accuracy:
 
 
 def test_a_tank_that_runs_empty_within_the_step_is_no_error_of_the_integration() -> None:
-    """In run 397 lox ends in a step that is repeated as two halves; a pendulum without mass counted with 0.96 deg."""
+    """In run 397 the LOX tank empties in a step that is repeated as two halves, and no error is reported.
+
+    A pendulum without mass counted with 0.96 deg.
+    """
     found = fly(maxq.load("campaigns/ksr3").scenario_of(397), log=False)
     assert not [f for f in found.failures if "integration" in f]
     assert 0.0 < found.metrics["step_error_slosh_deg"] < 0.02
 
 
 def test_what_an_actuators_play_does_to_steps_is_estimated_as_large_as_it_is() -> None:
-    """Run 886, with a play of 0.045 deg, against itself in steps of 0.5 ms; estimates of crossings as if they never
-    cancelled are 20 times as large, and fail it."""
+    """The estimated effect of a play of 0.045 deg in run 886 equals the difference from a flight in steps of 0.5 ms.
+
+    Estimates in which crossings never cancel are 20 times as large and would fail it.
+    """
     by_accuracy, finer = (
         fly(maxq.load("campaigns/ksr3", *overrides).scenario_of(886), log=False)
         for overrides in ([], ["run.step_s=0.0005"])
@@ -296,7 +304,7 @@ def test_an_error_beyond_the_accuracy_is_a_failure(by_accuracy: Flight) -> None:
 
 
 def test_errors_that_no_sensor_resolves_fail_no_quiet_flight(by_accuracy: Flight) -> None:
-    """Without a requirement, 5e-4 deg and 0.01 mm are allowed however little the vehicle moves."""
+    """Without a requirement, 5e-4 deg and 0.01 mm are allowed, however little the vehicle moves."""
     run = by_accuracy.scenario.scenario.run
     quiet = by_accuracy.metrics | {"max_slosh_deg": 1e-6, "step_error_slosh_deg": 4.9e-4}
     assert step_failure(run, quiet, ()) == ""
@@ -307,7 +315,7 @@ def test_errors_that_no_sensor_resolves_fail_no_quiet_flight(by_accuracy: Flight
 
 
 def test_each_halving_halves_the_longest_step() -> None:
-    """A projectile without fast parts has steps of 10 ms."""
+    """A projectile without fast components has steps of 10 ms, and each halving halves them."""
     changes = ("run.step_s=", "run.accuracy=0.1", "run.duration_s=0.4")
     flights = [
         fly(load_scenario("checkcases/shot-north", [*changes, f"run.halvings={n}"]), log=False) for n in range(4)

@@ -1,4 +1,4 @@
-"""The joint share of flights that meet all requirements: its count, its verdict, and what settles a campaign."""
+"""The joint share of flights that meet all requirements has the right count and verdict, and settles a campaign."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def flown(seed: int, runs: int, each: float) -> Formula:
 
 
 def test_ten_requirements_at_half_the_allowed_rate_are_not_accepted() -> None:
-    """Each alone is met in 40,000 runs, while one flight in 74 misses something, five times what is allowed."""
+    """Each requirement is met in 40,000 runs, while one flight in 74 misses one, five times the allowed rate."""
     for seed in range(4):
         data = flown(seed, 40_000, 0.5 * P)
         *each, joint = judged_runs(data)
@@ -44,7 +44,7 @@ def test_a_vehicle_at_a_tenth_of_the_allowed_rate_in_all_is_accepted() -> None:
 
 
 def test_the_joint_row_counts_each_run_once() -> None:
-    """Three runs miss something, one of them two limits; the bounds are those of three failures."""
+    """Three runs miss a limit, one of them two limits; the bounds are those of three failures."""
     values = {name: np.full(1000, -1.0) for name in TEN}
     for run, *missed in ((3, 0), (40, 1, 2), (41, 2)):
         for k in missed:
@@ -80,7 +80,7 @@ def test_the_last_line_names_all_together_where_no_requirement_is_missed_alone()
 
 
 def test_a_campaign_is_settled_only_with_the_joint_verdict() -> None:
-    """Ten misses of each of two limits in 600 runs are few enough at 95 %; twenty together are not."""
+    """With ten misses of each of two limits in 600 runs, both are met at 95 %, but not both together (20 misses)."""
     loaded = campaign(TEN[:2], 0.0).with_campaign(runs=600, success=0.95)
     for both, settled_now in ((False, False), (True, True)):  # in other runs, in the same
         interim = Interim(loaded)

@@ -1,4 +1,4 @@
-"""The launch azimuth of a layout's inclination, against vectors."""
+"""The launch azimuth for the inclination of a layout equals that from vectors."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_azimuths_that_cannot_be(tmp_path: Path, new: str, trajectory: str, said
 
 @pytest.mark.parametrize(("shape", "least"), [("wgs84", math.degrees(geocentric_rad(28.5))), ("sphere", 28.5)])
 def test_a_scenario_allows_each_inclination_of_a_layout(shape: str, least: float) -> None:
-    """The least inclination of a site is its geocentric latitude, on the ellipsoid 0.16 deg below the geodetic one."""
+    """The least inclination of a site is its geocentric latitude, 0.16 deg below the geodetic one on the ellipsoid."""
     scenario = {**RESTART, "earth": {"shape": shape, "gravity": "inverse_square"}, "site": {"latitude_deg": 28.5}}
     for inclination, allowed in ((least + 0.01, True), (least - 0.01, False), (180.0 - least - 0.01, True)):
         orbit = {"perigee_altitude_m": 3e5, "apogee_altitude_m": 3e5, "isp_s": 300.0, "inclination_deg": inclination}

@@ -1,4 +1,4 @@
-"""`simrun limit`: the search against known limits, among them the fall time to a speed."""
+"""`simrun limit` finds known limits, such as the fall time to a speed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class _Flown:
 
 
 class _Plant:
-    """A plant whose flights miss at the values of `bad`."""
+    """A plant whose flights miss their limits at the values of `bad`."""
 
     def __init__(self, bad: Any, allowed: float = 1e9) -> None:
         self.bad, self.allowed, self.asked = bad, allowed, []
@@ -56,7 +56,7 @@ def test_search_downwards_finds_the_smallest_value() -> None:
 
 
 def test_a_band_of_misses_below_a_larger_value_that_is_met_is_the_limit() -> None:
-    """Doubling steps pass over the band from 35 to 45 (31 and 63 are met, 127 is not); the eight intervals do not."""
+    """Doubling steps (31, 63, 127) skip the band of misses from 35 to 45; the search over eight intervals finds it."""
     found = find_limit(_Plant(lambda value: 35.0 < value < 50.0 or value > 100.0), 0.0)
     assert found.met is not None
     assert found.missed is not None

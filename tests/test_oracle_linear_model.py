@@ -1,24 +1,24 @@
-"""The simulator, linearised numerically, against the linear model derived on paper (tests/oracles/planar).
+"""The simulator, linearised numerically, equals the linear model derived on paper (tests/oracles/planar).
 
-The two share the vehicle's tables and nothing else: the simulator is a nonlinear system with tensions as
-unknowns in three dimensions, the model a d'Alembert derivation in one plane. Made comparable by flying over a
-flat Earth that does not turn, under uniform gravity, along the body axis without rotation, at the speed,
-altitude and path angle that the nominal flight has at eleven nodes.
+The two share only the vehicle's tables: the simulator is a nonlinear system in three dimensions with tensions as
+unknowns, the model a d'Alembert derivation in one plane. They are comparable over a flat Earth at rest, under uniform
+gravity, along the body axis without rotation, at the speed, altitude and path angle of the nominal flight at eleven
+operating points.
 
-| what | expected |
+| quantity | expected |
 |---|---|
 | pitch-plane A and B, entry by entry | equal; nothing else enters the pitch plane |
 | eigenvalues | equal |
 | frequency responses command -> gyro, engine angle -> pitch rate, 0.05 to 50 Hz | equal |
 | yaw plane | the pitch plane mirrored; in addition only the roll angle, through gravity |
-| stability derivatives of Table 2 | those of the simulated vehicle, liquid frozen and body stiff |
+| stability derivatives of Table 2 | those of the simulated vehicle, liquid frozen and body rigid |
 | Table 2 along the flight | within 6 % of the paper's ends; M_delta within its range |
-| mass going over from bob to core | left out by the simulator: effect bounded |
+| mass that moves from bob to core | omitted in the simulator: effect bounded |
 | round, rotating Earth; the state as flown | other systems: difference bounded, and explained where tested |
 
-No quasi-steady difference is left over: lateral speed is the state and not angle of attack, so U'/U does not appear
-(erratum 10: alpha' = w'/U - alpha U'/U), gravity's part of w' and the wandering of the CG are in both, and at
-zero angle of attack the forward speed does not enter the lateral motion.
+There is no quasi-steady difference. The state is lateral speed, not angle of attack, so U'/U does not appear (erratum
+10: alpha' = w'/U - alpha U'/U). Gravity's part of w' and the motion of the CG are in both, and at zero angle of attack
+the forward speed does not enter the lateral motion.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ VEHICLE_STATES = 3 + 2 * (MODES + TANKS)
 
 
 def plane_states(plane: str, tvc_load: bool = False) -> list[str]:
-    """Return the simulator's coordinates in the order of the model's states of the vehicle and the gyro."""
+    """Return the simulator's coordinates in the order of the model's states of vehicle and gyro."""
     bend, motion = "eta", ["w_mps", "q_radps", "theta_rad"]
     if plane == "yaw":
         bend, motion = "xi", ["v_mps", "r_radps", "psi_rad"]
@@ -71,7 +71,7 @@ def plane_states(plane: str, tvc_load: bool = False) -> list[str]:
 
 @dataclass(frozen=True)
 class Node:
-    """An instant: the simulator linearised, and the model at the same condition."""
+    """An instant with the linearised simulator and the model at the same condition."""
 
     packed: Packed
     condition: FlightCondition
@@ -79,7 +79,7 @@ class Node:
     model: StateSpace
 
     def block(self, plane: str) -> StateSpace:
-        """Return the simulator's coordinates of one plane alone."""
+        """Return the block of the simulator's coordinates in one plane."""
         s = self.simulated
         names = plane_states(plane, "tvc_load_1_pitch_rad" in s.states)
         i = [s.states.index(name) for name in names]
@@ -99,7 +99,10 @@ class Node:
 
 
 def linear_plant(packed: Packed, condition: FlightCondition, plane: str = "pitch") -> StateSpace:
-    """Command (rad) -> gyro rate, engine motion, vehicle motion: states of vehicle, actuator and gyro in this order."""
+    """Return the plant from command (rad) to gyro rate, engine motion and vehicle motion.
+
+    States of vehicle, actuator and gyro, in this order.
+    """
     row = packed.parameters[0].vehicle
     moves, senses = actuator(row.actuator_pitch if plane == "pitch" else row.actuator_yaw), gyro(row.gyro)
     body = vehicle_plant(vehicle_at(packed, condition.time_s, condition.mach, plane), condition)
@@ -126,7 +129,7 @@ def flight() -> Flight:
 
 
 def flat_earth(flight: Flight, time_s: float, *overrides: str) -> tuple[Packed, FlightCondition]:
-    """Return a start at the nominal flight's speed, altitude and path angle, body on the path; and its air."""
+    """Return a start at the nominal flight's speed, altitude and path angle, with the body on the path, and its air."""
     row = int(np.argmin(np.abs(flight.time_s("airspeed_mps") - time_s)))
     speed, altitude, path_deg = (float(flight[name][row]) for name in ("airspeed_mps", "altitude_m", "flight_path_deg"))
     path = np.radians(path_deg)
@@ -167,14 +170,14 @@ def nodes(flight: Flight) -> dict[int, Node]:
 
 
 def pole_differences(ours: np.ndarray, theirs: np.ndarray) -> Array:
-    """Return the relative distance of each of `ours` to its own one of `theirs`."""
+    """Return the relative distance of each of `ours` to its counterpart in `theirs`."""
     distance = np.abs(ours[:, None] - theirs[None, :]) / np.abs(ours)[:, None]
     pairs = scipy.optimize.linear_sum_assignment(distance)
     return np.asarray(distance[pairs])
 
 
 def vehicle_pole_groups(node: Node) -> dict[str, Array]:
-    """Return the pole differences of the vehicle alone, by what swings: in rising order of magnitude at every node."""
+    """Return the pole differences of the vehicle by swinging component, in rising order."""
     n = VEHICLE_STATES
     ours = np.linalg.eigvals(node.model.a[:n, :n])
     ours = ours[np.argsort(np.abs(ours))]
@@ -206,7 +209,7 @@ def test_vehicle_matrices_are_equal(nodes: dict[int, Node], time_s: int) -> None
 def test_plant_of_an_operating_point_is_the_published_model(
     flight: Flight, time_s: int, load: tuple[str, ...], plane: str
 ) -> None:
-    """The Jacobian of the simulator, reduced to a plane: matrices entry by entry, names, zeros."""
+    """The Jacobian of the simulator, reduced to a plane, has the model's matrix entries, names and zeros."""
     packed, condition = flat_earth(flight, time_s, *load)
     ours = node_of(packed, float(time_s), 0, plane).plant
     theirs = vehicle_plant(vehicle_at(packed, time_s, condition.mach, plane), condition)
@@ -219,7 +222,7 @@ def test_plant_of_an_operating_point_is_the_published_model(
 
 @pytest.mark.parametrize("exchange", [False, True])
 def test_matrices_of_a_dispersed_liquid_are_equal(flight: Flight, exchange: bool) -> None:
-    """More liquid swings in one tank and less in the other, by other lengths; mass and its rate by one factor."""
+    """The matrices agree with more liquid in one tank, less in the other, other lengths and scaled mass."""
     packed, condition = flat_earth(
         flight,
         55,
@@ -296,7 +299,7 @@ def test_actuators_of_lower_order(flight: Flight, model: str, sections: int, lim
     "load", ["frequency_hz=15.6, damping_ratio=0.042", "stiffness_Nmprad=2.5e6, damping_ratio=0.3"]
 )
 def test_engine_on_its_compliance(flight: Flight, time_s: int, load: str) -> None:
-    """Matrices, entry by entry, in both planes; and from command to gyro."""
+    """The matrices agree entry by entry in both planes, as do the responses from command to gyro."""
     packed, condition = flat_earth(flight, time_s, f"vehicle.stage.0.tvc_load={{{load}}}")
     node = Node(packed, condition, linearise(packed, packed.state, time_s), linear_plant(packed, condition))
     n = VEHICLE_STATES + 2
@@ -355,7 +358,7 @@ def test_table_2_derivatives_are_those_of_the_simulated_vehicle(flight: Flight, 
 
 
 def test_flown_derivatives_meet_table_2(flight: Flight) -> None:
-    """Z_alpha at 5 s is 5 % off: the vehicle is a little slower there. M_delta cannot span its range."""
+    """Z_alpha at 5 s is 5 % off, since the vehicle is slightly slower there; M_delta cannot span its range."""
     times_s = np.arange(5.0, 55.5, 0.5)
     flown = np.array([dataclasses.astuple(d) for d in flown_derivatives(flight, times_s)])
     ends = {key: (flown[:, k].min(), flown[:, k].max()) for k, key in enumerate(COLUMNS)}
@@ -381,7 +384,7 @@ def test_where_no_linear_model_exists_it_says_so(flight: Flight) -> None:
 @pytest.mark.slow
 @EVERY_NODE
 def test_complete_mass_flow_is_that_of_the_frozen_liquid(flight: Flight, time_s: int) -> None:
-    """With its bobs locked the vehicle must damp a pitch rate as the one whose liquid is frozen does."""
+    """With its bobs locked, the vehicle damps a pitch rate like one with frozen liquid."""
     locked, solid = (
         _rate_damping_in_vacuum(*flat_earth(flight, time_s, "switches.bending=false", slosh))
         for slosh in ("switches.slosh=true", "switches.slosh=false")
@@ -392,7 +395,7 @@ def test_complete_mass_flow_is_that_of_the_frozen_liquid(flight: Flight, time_s:
 
 
 def _rate_damping_in_vacuum(packed: Packed, condition: FlightCondition) -> float:
-    """Return the rate q'/q (1/s) at which mass flow damps, bobs locked by dampers: the pole neither 0 nor fast."""
+    """Return the rate q'/q (1/s) of damping by mass flow with locked bobs: the pole that is neither 0 nor fast."""
     vehicle = vehicle_at(packed, condition.time_s, condition.mach)
     dampers = np.full_like(vehicle.pendulums.damping_ratio, 1e7)
     locked = dataclasses.replace(vehicle, pendulums=dataclasses.replace(vehicle.pendulums, damping_ratio=dampers))
@@ -404,7 +407,7 @@ def _rate_damping_in_vacuum(packed: Packed, condition: FlightCondition) -> float
 # --- the flight itself
 @pytest.fixture(scope="module")
 def flown_nodes() -> dict[tuple[int, str], Node]:
-    """The nominal flight at its nodes over the real Earth: as flown, and without angle of attack and rotation."""
+    """Return the nominal flight at its operating points over the real Earth, as flown and without angle of attack."""
     run, out = FlightRun(load_scenario("nominal", ["run.duration_s=56"]), log=False), {}
     for time_s in NODES_S:
         while run.now_s < time_s - 1e-9:
@@ -430,10 +433,10 @@ def flown_nodes() -> dict[tuple[int, str], Node]:
 
 @EVERY_NODE
 def test_round_rotating_earth_changes_what_gravity_does(flown_nodes: dict[tuple[int, str], Node], time_s: int) -> None:
-    """Centrifugal and Coriolis acceleration change what gravity does when the body pitches, by 0.2 to 0.3 %.
+    """Centrifugal and Coriolis acceleration change the effect of gravity on a pitching body by 0.2 to 0.3 %.
 
-    This applies to all of the slow root (theta -> w by gravity, w -> q by the weathercock). It applies to little of the
-    short period, less the faster it is, and not to the motion of the body alone.
+    This applies fully to the slow root (theta -> w by gravity, w -> q by the weathercock), less to the short period the
+    faster it is, and not to the motion of the body alone.
     """
     groups = vehicle_pole_groups(flown_nodes[time_s, "zero incidence"])
     bounds = {"slow": 3e-3, "short period": 2e-4, "slosh": 5e-7, "bending": 1e-9}
@@ -442,10 +445,10 @@ def test_round_rotating_earth_changes_what_gravity_does(flown_nodes: dict[tuple[
 
 @EVERY_NODE
 def test_model_holds_along_the_flown_path(flown_nodes: dict[tuple[int, str], Node], time_s: int) -> None:
-    """As flown there is angle of attack (3.8 deg at 10 s, when it pitches over; 0.03 deg later) and rotation.
+    """As flown, the model holds with rotation and angle of attack (3.8 deg at 10 s, 0.03 deg later).
 
-    Cross-flow lift grows with angle of attack and adds to the slope of the surfaces: 1.4 % of the short period at
-    10 s. Centrifugal stiffness and the drag's side component reach bobs and modes at their second order.
+    Cross-flow lift grows with angle of attack and adds to the slope of the surfaces: 1.4 % of the short period at 10 s.
+    Centrifugal stiffness and the lateral drag component affect bobs and modes in second order.
     """
     groups = vehicle_pole_groups(flown_nodes[time_s, "flown"])
     pitching_over = time_s in (10, 15)
@@ -461,7 +464,7 @@ def test_model_holds_along_the_flown_path(flown_nodes: dict[tuple[int, str], Nod
 def test_rotation_of_the_earth_enters_as_coriolis_and_centrifugal_acceleration(
     flown_nodes: dict[tuple[int, str], Node],
 ) -> None:
-    """The same air and position over ground without rotation: what differs is -2 W x v - W x (W x r), by parts.
+    """With the same air and position over ground, rotation adds -2 W x v - W x (W x r), compared by parts.
 
     Coordinates are position in I and velocity over ground in B: r' = R v + W x r, v' = R^T (a - W x (R v + W x r)) - w
     x v, with equal forces.

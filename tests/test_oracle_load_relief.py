@@ -1,13 +1,13 @@
-"""Load relief: kernel against SciPy's filters, gradients by the complex step, wind responses against closed systems.
+"""Load relief agrees with SciPy's filters, complex-step gradients and closed systems in wind.
 
-| what | oracle |
+| quantity | oracle |
 |---|---|
 | command of the computer in pitch and yaw | `scipy.signal.lfilter` of lag and bending filter |
 | gradient by the law's parameters, blend weights among them | complex step through pairs of real numbers |
 | wind's column of the linear plant | the simulator's derivative in constant side winds |
 | rms of load, drift and a bending moment | all equations of the closed loop solved at once at each frequency |
 | gradient of these | complex step through pairs of real numbers |
-| the wind's spectrum | its integral is the variance, within what the band leaves out |
+| the wind's spectrum | its integral is the variance, less the part outside the band |
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def problem(loop: str) -> Any:
 
 
 def log_abs_and_phase(own: Any, s: complex, paths: list[complex], lag_: complex) -> tuple[Any, Any]:
-    """ln|L| and arg L; own = filter, ln k_p, ln k_d, ln k_a, weight of the second gyro."""
+    """Return ln|L| and arg L; own = filter, ln k_p, ln k_d, ln k_a, weight of the second gyro."""
     k_p, k_d, k_a = np.exp(own[6]), np.exp(own[7]), np.exp(own[8])
     angle, rate, accel, second = (Pair(p.real, p.imag) for p in paths)
     pushed = accel * Pair(lag_.real, lag_.imag) * (-1.0 * k_a)
@@ -141,7 +141,7 @@ def test_gradients_by_the_complex_step(loop: str) -> None:
 
 
 def excess_db(own: Any, wind, output: int, s: Any, limit: float) -> Any:
-    """By complex steps: C of the law written down again, the loop closed with the wind's data."""
+    """Return the excess over a limit in dB, for complex steps: C is written again, and the loop closed in wind."""
     z = np.exp(-2j * np.pi * np.exp(wind.x) * T)
     kept, shaped = np.exp(-2.0 * np.pi * T), filter_f3(own, s)
     lags = (1.0 - kept) / (1.0 - kept * z)
@@ -198,7 +198,7 @@ SLOW = (
 
 @pytest.mark.long
 def test_least_load_against_margins_and_drift() -> None:
-    """No design near the optimum, of 3,000 tried, meets the limits with less load; a softer one has less."""
+    """No design of 3,000 near the optimum meets the limits with less load; a softer one has less load."""
     least = (*SLOW, "objective.kind=load", "limits.drift_mps=9.0")
     plants = kit.plants(*least)
     made, found = make_problem(kit.case(*least).case, plants), solve(kit.case(*least), plants)
@@ -249,7 +249,7 @@ def test_load_as_an_objective_needs_a_wind_and_no_limit() -> None:
 
 
 def test_load_and_drift_are_those_of_the_closed_equations() -> None:
-    """Engine, vehicle, sensors and law in one linear system, solved at each frequency."""
+    """Load and drift equal those of engine, vehicle, sensors and law solved as one linear system at each frequency."""
     made, plants = problem("sampled")
     variables = np.concatenate([OWN[:6], np.repeat(OWN[6:9], 2), OWN[9:]])
     law = made.law.controllers(variables)[0]
@@ -318,7 +318,7 @@ def test_a_stage_that_is_not_designed_keeps_its_gains_under_the_other_law(tmp_pa
 
 @pytest.mark.parametrize("model", ["dryden", "von-karman"])
 def test_spectrum_is_the_standards(model: str) -> None:
-    """MIL-F-8785C, lateral: over all frequencies the variance, in the band what the weights sum to."""
+    """The spectrum is that of MIL-F-8785C, lateral: it integrates to the variance, in the band to the weights."""
     sigma, length, speed = 2.0, 533.0, 400.0
 
     def density(w: float) -> float:

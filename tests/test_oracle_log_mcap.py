@@ -1,4 +1,4 @@
-"""The `mcap` package and protobuf's own parser read from a log what our reader reads."""
+"""The `mcap` package and protobuf's parser read the same values from a log as maxq's reader."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_the_summary_counts_what_is_there(path: Path) -> None:
 
 
 def test_message_indexes_point_to_their_messages(tmp_path: Path) -> None:
-    """Each entry is the time and the place in the chunk of a message of its channel, in order of time."""
+    """Each entry gives the time and offset in the chunk of a message of its channel, in order of time."""
     other = replace(FRAMES, parent="B", child="nozzle")
     with LogWriter(tmp_path / "a.mcap", TABLE, HEAD) as log:
         log.write_block({"fast": FAST, "slow": SLOW}, EVENTS, [FRAMES, other])
@@ -147,7 +147,7 @@ def test_message_indexes_point_to_their_messages(tmp_path: Path) -> None:
 
 
 def test_a_log_in_order_of_time_from_another_tool_reads_the_same(path: Path, tmp_path: Path) -> None:
-    """Such a file is what `mcap` tools make of ours: messages of all topics alternate within a chunk."""
+    """A log in the order that `mcap` tools write, in which topics alternate within a chunk, reads the same."""
     ours = maxq.read(path)
     other = Container(tmp_path / "other.mcap", "maxq", "another tool")
     summary = summary_of(path)

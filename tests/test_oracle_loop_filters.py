@@ -1,15 +1,15 @@
-"""Filters of each loop, filters that fade out behind a separation, and load relief by angle of attack.
+"""Filters per loop, filters that fade out after a separation, and load relief by angle of attack agree with oracles.
 
-| what | oracle |
+| quantity | oracle |
 |---|---|
 | command with a filter in each loop, both laws of load relief | SciPy's `lfilter`, differences |
-| filters of two stages, one fading out | `lfilter` on both with their own memories |
+| filters of two stages, one fading out | `lfilter` on both with separate memories |
 | response of the law | (zI - A)^-1 of its state space; closed form |
-| gradient by the own parameters | complex step on ln|L| and arg L in pairs of real numbers |
+| gradient by the parameters | complex step on ln|L| and arg L in pairs of real numbers |
 | first and second derivative by frequency | differences |
 | centre of percussion, acceleration per angle of attack | the linear plant: response to gimbal angle and wind |
 | |F(j inf)| of each loop | the filters at 1e9 Hz |
-| estimated angle of attack in flight | the true one behind the same lag |
+| estimated angle of attack in flight | the true one after the same lag |
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def run_through(discrete: DiscreteFilter, given: Array) -> Array:
 
 
 class Ticked:
-    """A computer with an accelerometer, sample by sample."""
+    """A computer with an accelerometer, ticked sample by sample."""
 
     def __init__(self, gains: GainSchedule, **more: Any) -> None:
         self.pool = Pool()
@@ -130,14 +130,14 @@ def test_each_loop_has_its_filter_before_the_law(gains: GainSchedule) -> None:
 
 
 def steady_memory(b: list[float], a: list[float], value: float) -> Array:
-    """Return the memory of transposed direct form II after a long time at one input."""
+    """Return the memory of transposed direct form II in steady state at one input."""
     out = value * sum(b) / sum(a)
     last = b[2] * value - a[2] * out
     return np.array([b[1] * value - a[1] * out + last, last])
 
 
 def test_filters_of_the_stage_before_fade_out_on_the_same_input() -> None:
-    """Rate loop and bending filter change at the separation, over 25 samples: share k / 26 of the new ones."""
+    """Rate loop and bending filter change over 25 samples after the separation: the new ones have the share k / 26."""
     first, later = F3.discretize(T, "prewarped", 9.0), BendingFilter((QuadraticSection(20.0, 0.3, 15.0, 0.8),))
     second, n, cut = later.discretize(T, "prewarped", 9.0), 25, 200
     gains = GainSchedule([0.0], [1.2], [0.5])
@@ -229,7 +229,7 @@ def first_order(own: Any, s: complex) -> Pair:
 
 
 def log_abs_and_phase(own: Any, s: complex, paths: list[complex], lag: complex, change: complex) -> tuple[Any, Any]:
-    """ln|L| and arg L; own = bending filter, ln gains, weight, attitude, rate, acceleration, 1 / b, -p / b."""
+    """Return ln|L| and arg L; own = bending filter, ln gains, weight, attitude, rate, acceleration, 1 / b, -p / b."""
     k_p, k_d, k_alpha = (np.exp(x) for x in own[6:9])
     angle, rate, accel, second = (Pair(p.real, p.imag) for p in paths)
     turning = (Pair(k_d) + Pair(change.real, change.imag) * (k_alpha * own[23])) * filter_f3(own[14:20], s)
@@ -272,7 +272,10 @@ def test_gradients_by_the_complex_step(loop: str) -> None:
 
 
 def test_limits_have_the_gradient_of_differences() -> None:
-    """In wind, and of |F(j inf)| with each loop's filter, which is that of the filters at 1e9 Hz."""
+    """Limits in wind and on |F(j inf)| of each loop's filter have the gradient of differences.
+
+    |F(j inf)| is that of the filters at 1e9 Hz.
+    """
     law = problem("sampled")[0].law
     own = law.own(VARIABLES)
     for values in law.limit_values(own):
@@ -293,7 +296,7 @@ def test_limits_have_the_gradient_of_differences() -> None:
 
 @pytest.mark.parametrize("loop", ["pade", "sampled"])
 def test_the_law_is_one_in_every_form(loop: str) -> None:
-    """As variables, as a controller, as a state space, and read back from the design's tables."""
+    """The law is the same as variables, as a controller, as a state space, and read back from the design's tables."""
     made, plants = problem(loop)
     law, f = made.law, np.geomspace(0.05, 40.0, 25)
     assert isinstance(law, PdVariables)
@@ -323,7 +326,7 @@ def test_the_law_is_one_in_every_form(loop: str) -> None:
 
 
 def test_damping_of_the_rigid_body_counts_all_gyros() -> None:
-    """(36) with the whole rate gain, as the optimiser has it; the verdict took the first gyro's share of it."""
+    """The damping (36) uses the gain of all rate gyros in the verdict and the optimiser, not the first gyro's share."""
     node = problem("sampled")[1].each[0].node
     law = maxq.load_design("designs/ksr3-load-relief.toml", "load-relief")
     k_p, k_d = (np.interp(node.time_s, law.gains.table["time_s"], law.gains.table[k]) for k in ("k_p", "k_d_s"))
@@ -333,7 +336,7 @@ def test_damping_of_the_rigid_body_counts_all_gyros() -> None:
 
 
 def test_the_centre_of_percussion_feels_the_air_and_no_gimbal_angle() -> None:
-    """In the linear plant without modes and slosh: acceleration there per gimbal angle 0, per angle of attack b."""
+    """Without modes and slosh, the acceleration there is 0 per gimbal angle and b per angle of attack."""
     rigid = load_scenario("load-relief", ["switches.bending=false", "switches.slosh=false"])
     for node in maxq.nodes(rigid, (15.0, 40.0)):
         lever_m, slope = incidence_by_acceleration(node.vehicle, node.derivatives, node.condition.airspeed_mps)
@@ -350,7 +353,7 @@ def test_the_centre_of_percussion_feels_the_air_and_no_gimbal_angle() -> None:
 
 @pytest.mark.slow  # a flight
 def test_the_estimate_is_the_incidence_that_is_flown(tmp_path: Path) -> None:
-    """In a side wind, law and estimator fed with what the linear model says; truth behind the same lag."""
+    """In a side wind, the linear model's estimate equals the true angle of attack after the same lag."""
     rows = []
     for node in maxq.nodes(load_scenario("load-relief"), (5.0, 15.0, 25.0, 35.0, 45.0, 55.0)):
         lever_m, slope = incidence_by_acceleration(node.vehicle, node.derivatives, node.condition.airspeed_mps)

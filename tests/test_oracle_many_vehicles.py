@@ -1,7 +1,7 @@
-"""Many vehicles at once: their plants are those of one, and their margins those of `margins` of each.
+"""The plants and margins of many vehicles at once equal those of each vehicle.
 
 Both use the same curve and lobes. `margins` samples by matrix exponentials, finds closed poles as eigenvalues, and
-bounds slopes between its points. The margins of many vehicles have residues, Aberth's iteration and a grid instead.
+bounds slopes between its points. The margins of many vehicles use residues, Aberth's iteration and a grid.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ USUAL = Spread()
 
 
 def drawn(node: Node, count: int, spread: Spread = WIDE, base: LoadedScenario | None = None) -> list[Dispersion]:
-    """Random vehicles; of `WIDE` with delays up to three samples, which no scenario allows."""
+    """Return random vehicles; those of `WIDE` have delays up to three samples, which no scenario allows."""
     campaign = campaign_of(spread, base or design_nodes.nominal())
     found = vehicles(LinearMargins(cases=count, corner_sigmas=0.0), node, campaign)[1]
     if spread is not WIDE:
@@ -63,7 +63,7 @@ def margins_in(values: NDArray[np.void]) -> Array:
 
 
 def compared(node: Node, law: Controller, every: list[Dispersion]) -> tuple[Array, int, int]:
-    """Return the largest differences of each margin, how many vehicles are unstable, and how many are handed back."""
+    """Return the largest difference of each margin, the number of unstable vehicles, and the number handed back."""
     values, status = ManyLoops(node, law).measure(every, -6.0)
     worst, unstable = np.zeros(len(SWEPT)), 0
     for by, row, found in zip(every, margins_in(values), status, strict=True):
@@ -87,7 +87,7 @@ ON_LOAD = "vehicle.stage.0.tvc_load={frequency_hz=15.6,damping_ratio=0.042}"
 @pytest.mark.slow
 @pytest.mark.parametrize("change", [(), (ON_LOAD,), (ON_LOAD, "vehicle.stage.0.engine.cant_deg=[3,2]")])
 def test_plants_of_many_are_those_of_each(change: tuple[str, ...]) -> None:
-    """To the bit but for sums; with engines on compliance the hinges are solved for, and canted ones sag by thrust."""
+    """The plants agree to the last bit except for sums; hinges are solved for, and canted engines sag under thrust."""
     node = maxq.nodes(design_nodes.nominal(*change), [45.0])[0]
     every = drawn(node, 20)
     held = deviated(node.held, node.plane, stacked(every), len(every))
@@ -100,7 +100,7 @@ def test_plants_of_many_are_those_of_each(change: tuple[str, ...]) -> None:
 
 @pytest.mark.slow
 def test_sloshing_mass_of_a_tank_off_the_axis_is_taken_out_there() -> None:
-    """Against a vehicle file with this mass. A bob taken out on the axis would change the inertia by 1e-3."""
+    """The result equals that of a vehicle file with this mass; on the axis, the inertia would change by 1e-3."""
     beside = "vehicle.stage.0.tank.0.position_m=[0.5, -0.8]"
     more = Dispersion(slosh_mass=(1.3, 1.0))
     found = disperse(maxq.nodes(design_nodes.nominal(beside), [45.0])[0], more).plant
@@ -113,7 +113,7 @@ def test_sloshing_mass_of_a_tank_off_the_axis_is_taken_out_there() -> None:
 
 @pytest.mark.slow
 def test_margins_are_those_of_each_vehicle_by_itself() -> None:
-    """Compare 400 vehicles at four operating points within 0.01 dB and deg."""
+    """The margins of 400 vehicles at four operating points agree within 0.01 dB and deg."""
     unstable = 0
     for time_s, design in (
         (5.0, "ksr3-robust"),
@@ -132,7 +132,7 @@ def test_margins_are_those_of_each_vehicle_by_itself() -> None:
 
 @pytest.mark.slow
 def test_margins_where_engines_and_actuators_deviate_each_by_itself() -> None:
-    """Petrel's first stage has nine engines in three groups: vehicles with alike actuators among unlike ones."""
+    """Petrel's first stage has nine engines in three groups; some vehicles have alike actuators, others unlike ones."""
     (node,) = petrelkit.nodes(40.0)
     base = petrelkit.scenario("vehicle.stage.0.actuator={omega_hz=[7.0],zeta=[0.7],"
         "model='second-order',angle_limit_deg=6.0,rate_limit_degps=20.0}")  # fmt: skip  # one table of all groups
@@ -178,7 +178,7 @@ def test_margins_of_an_unstable_body_and_with_an_integral() -> None:
 
 @pytest.mark.slow
 def test_a_flight_of_its_own() -> None:
-    """The same vehicles at the speed and in the air of another flight."""
+    """The same vehicles agree at the speed and in the air of another flight."""
     node, other = design_nodes.node_at(35.0), design_nodes.node_at(45.0)
     law = law_at(maxq.load_design("designs/ksr3-robust"), node)
     met = dataclasses.replace(node, condition=dataclasses.replace(other.condition, time_s=node.time_s))

@@ -1,6 +1,6 @@
-"""Margins against closed forms, python-control, and eigenvalue problems that know no grid.
+"""Margins equal closed forms, python-control, and eigenvalue problems without a grid.
 
-| what | expected |
+| quantity | expected |
 |---|---|
 | textbook loops: third order, unstable, conditionally stable, pure delay | closed forms, 1e-7 dB and deg |
 | L at zero frequency and at Nyquist | counts as a crossing where it is negative |
@@ -35,7 +35,10 @@ def db(ratio: float) -> float:
 
 
 def test_a_pole_on_the_axis_is_passed_by_the_step_around_it():
-    """In every step, the last one too; none beyond the ends or off the axis, none that a hidden one takes away."""
+    """A pole on the axis is found in every step, including the last, and none beyond the ends or off the axis.
+
+    A hidden pole cancels no other.
+    """
     f = np.array([1.0, 2.0, 5.0, 7.0, 8.0])
     at_hz = np.array([0.5, 1.5, 3.0, 6.0, 7.5, 9.0])
     none = np.zeros(0, complex)
@@ -47,7 +50,7 @@ def test_a_pole_on_the_axis_is_passed_by_the_step_around_it():
 
 
 def test_third_order_lag():
-    """k / (s + 1)^3: -180 deg at sqrt(3) rad/s, where |L| = k / 8."""
+    """For k / (s + 1)^3, -180 deg is at sqrt(3) rad/s, where |L| = k / 8."""
     m = margins(TransferLoop([2.0], [1.0, 3.0, 3.0, 1.0]))
     assert m.gain_up_db.value == pytest.approx(db(4.0), abs=EXACT)
     assert m.gain_up_db.frequency_hz == pytest.approx(np.sqrt(3.0) / TAU, rel=1e-9)
@@ -59,7 +62,7 @@ def test_third_order_lag():
 
 @pytest.mark.parametrize("delay_s", [0.01, 0.3, 1.5])
 def test_integrator_with_delay(delay_s):
-    """exp(-s T) / s: poles W(-T) / T, margins and delay margin in closed form."""
+    """For exp(-s T) / s the poles are W(-T) / T, and margins and delay margin have closed forms."""
     poles = [lambertw(-delay_s, k) / delay_s for k in range(-2, 3)]
     m = margins(TransferLoop([1.0], [1.0, 0.0], delay_s=delay_s, rightmost=poles))
     assert m.stable
@@ -76,7 +79,7 @@ def test_delay_beyond_the_margin_is_unstable():
 
 @pytest.mark.parametrize("divergence", [0.02, 1.0, 30.0])
 def test_aerodynamically_unstable_body(divergence):
-    """m (p + d s) / (s^2 - mu): the gain can fall to mu / (m p) before the body diverges; -1 lies at zero frequency."""
+    """For m (p + d s) / (s^2 - mu), the gain can fall to mu / (m p) before the body diverges, at zero frequency."""
     m = margins(TransferLoop([8.0, 4.0 * divergence], [1.0, 0.0, -divergence]))
     assert m.stable
     assert m.encircled_poles == 0
@@ -86,7 +89,7 @@ def test_aerodynamically_unstable_body(divergence):
 
 
 def test_aerodynamically_unstable_body_with_an_actuator_has_both_margins():
-    """m (p + d s) / ((s^2 - mu) (1 + s T)): closed, T s^3 + s^2 + (k m d - T mu) s + k m p - mu."""
+    """m (p + d s) / ((s^2 - mu) (1 + s T)) has both margins; closed: T s^3 + s^2 + (k m d - T mu) s + k m p - mu."""
     mu, lag = 2.0, 0.1
     m = margins(TransferLoop([6.0, 8.0], np.polymul([1.0, 0.0, -mu], [lag, 1.0])))
     assert m.aero_gain_db.value == pytest.approx(db(4.0), abs=EXACT)
@@ -97,7 +100,7 @@ def test_aerodynamically_unstable_body_with_an_actuator_has_both_margins():
 
 
 def test_conditionally_stable():
-    """k (s + 1)^2 / s^3: stable for k > 1/2, -180 deg at 1 rad/s."""
+    """k (s + 1)^2 / s^3 is stable for k > 1/2, with -180 deg at 1 rad/s."""
     m = margins(TransferLoop([4.0, 8.0, 4.0], [1.0, 0.0, 0.0, 0.0]))
     assert m.stable
     assert np.isfinite(m.gain_down_db.value)
@@ -109,7 +112,7 @@ def test_conditionally_stable():
 
 
 def test_sampled_lag_reaches_minus_one_at_nyquist():
-    """k / (z - a): z = -1 when k = 1 + a."""
+    """For k / (z - a), z = -1 when k = 1 + a."""
     m = margins(TransferLoop([0.8], [1.0, -0.5], sample_s=0.01))
     assert m.gain_up_db.value == pytest.approx(db(1.5 / 0.8), abs=EXACT)
     assert m.gain_up_db.frequency_hz == 50.0
@@ -172,12 +175,15 @@ def loops() -> st.SearchStrategy[ModalLoop]:
 
 
 def on_axis(found: np.ndarray, within: float, above_hz: float = 2e-5) -> Array:
-    """Frequencies of the eigenvalues that are imaginary to `within`, relative. (A curve begins at 1e-5 Hz or above.)"""
+    """Return the frequencies of the eigenvalues that are imaginary to a relative `within`.
+
+    A curve begins at 1e-5 Hz or above.
+    """
     return np.sort(found.real[(found.real > above_hz) & (np.abs(found.imag) < within * found.real)])
 
 
 def missing(ours: Array, theirs: Array, rel: float) -> list[float]:
-    """Return the values of `theirs` without a near value of `ours`."""
+    """Return the values of `theirs` without a close value in `ours`."""
     return [float(x) for x in theirs if not (np.abs(ours - x) < rel * x).any()]
 
 
@@ -186,7 +192,7 @@ def missing(ours: Array, theirs: Array, rel: float) -> list[float]:
 @given(loops())
 @example(ModalLoop.of([(0.0, 2.0**-8)], [(1.0, 1e-5, 0.0, 0.0)], 10.0**-1.5))  # crosses at 1.97e-5 Hz
 def test_no_crossing_of_a_random_loop_is_missed_or_invented(loop):
-    """Each crossing has its eigenvalue and each eigenvalue its crossing, with |L| = 1, or L real, to 1e-9."""
+    """Each crossing has its eigenvalue and each eigenvalue its crossing, with |L| = 1 or L real to 1e-9."""
     m = margins(loop)
     gain, phase = m.gain_crossings.frequency_hz, m.phase_crossings.frequency_hz[m.phase_crossings.turn != 0]
     assert np.abs(loop.response(gain)) == pytest.approx(1.0, abs=1e-9)
@@ -247,7 +253,7 @@ def test_gain_margins_of_random_loops_are_where_a_pole_meets_the_axis(loop):
 @pytest.mark.parametrize("zeta", [1e-2, 1e-4, 1e-5, 1e-7])
 @pytest.mark.parametrize("omega", [3.0, 7.654321])
 def test_a_resonance_is_never_missed(zeta, omega):
-    """1/(s+1) + small resonance; its peak is 1 / (2 zeta) of its place weight."""
+    """For 1/(s+1) plus a small resonance, the peak is 1 / (2 zeta) of the static contribution."""
     weight = 3.0 * zeta
     loop = ModalLoop.of([(-1.0, 0.5)], [(omega, zeta, 0.0, weight)])
     m = margins(loop)
@@ -263,7 +269,7 @@ def test_a_resonance_is_never_missed(zeta, omega):
 
 
 def test_a_curve_that_just_touches_the_unit_circle_is_seen_both_ways():
-    """|L| with a maximum of 1 +- 1e-9 at a frequency that no grid knows."""
+    """|L| with a maximum of 1 +- 1e-9 between grid points has two crossings or none."""
     parts = [(3.0, 0.3, 1.0, 0.4), (4.0, 0.2, -0.3, 0.1)]
     shape = ModalLoop.of([], parts)
     peak = np.abs(shape.response(np.linspace(0.3, 0.7, 400001))).max()
@@ -273,7 +279,7 @@ def test_a_curve_that_just_touches_the_unit_circle_is_seen_both_ways():
 
 
 def test_a_phase_that_just_touches_180_degrees_is_seen_both_ways():
-    """s^-2 with corners of lead, lag, lead: the phase comes down to -180 between them and rises again."""
+    """s^-2 with corners of lead, lag, lead has a phase that falls to -180 deg between them and rises again."""
 
     def loop(pole: float) -> TransferLoop:
         return TransferLoop(np.poly([-1.0, -8.0, -30.0]), np.poly([0.0, 0.0, -2.0, -pole, -90.0]))

@@ -1,6 +1,6 @@
-"""Margins proved by closing the loop: gain, delay and whole sampling periods inserted until a pole crosses.
+"""Closed loops confirm the margins: gain, delay and whole sampling periods are increased until a pole crosses.
 
-| what | expected |
+| quantity | expected |
 |---|---|
 | random sampled loops, with integrators and unstable poles | encirclements = poles outside the unit circle |
 | gain margins of sampled loops | poles inside the circle up to the margin, one on it there |
@@ -107,7 +107,7 @@ def test_delay_margins(real, pairs, gain):
     st.floats(-1.0, 1.0),
 )
 def test_no_gain_and_phase_within_the_symmetric_disk_destabilise(real, pairs, gain, share, turn):
-    """Any complex factor k of the disk: A - k b c, complex as it is, has no pole to the right."""
+    """For any complex factor k of the disk, A - k b c has no pole to the right."""
     loop = ModalLoop.of(real, pairs, gain)
     m = margins(loop)
     assume(m.stable)

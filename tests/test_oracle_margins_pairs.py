@@ -1,11 +1,11 @@
-"""Crossings of random loops of the vehicle, in pairs too, against exact arithmetic and against dense points.
+"""Crossings of random vehicle loops, including close pairs, equal those of exact arithmetic and of dense points.
 
-| what | expected |
+| case | expected |
 |---|---|
 | random gains, F4 filters and vehicles, sampled and Pade | every crossing, no other, of Sturm's chain in 200 digits |
 | the same, more of them | the sign changes between 30,000 points of L, a linear system at each |
-| least |1 + L|, also next to Nyquist | no point of those is nearer |
-| least |1 + L| at frequency zero | L in 60 digits, far below where a grid begins |
+| least |1 + L|, also next to Nyquist | none of those points is nearer |
+| least |1 + L| at frequency zero | L in 60 digits, far below the start of a grid |
 | bounds on the derivatives over intervals | hold at all points between |
 """
 
@@ -35,7 +35,7 @@ SPREAD = Spread()
 
 @cache
 def random_loop(seed: int) -> Loop:
-    """Return the loop of a dispersed vehicle at a node, with gains scaled by a factor of up to ten and a random F4."""
+    """Return the loop of a dispersed vehicle at an operating point, with gains scaled by up to ten and a random F4."""
     rng = np.random.default_rng([2, seed])
     nodes = design_nodes.flown()
     node = nodes[rng.integers(len(nodes))]
@@ -62,7 +62,7 @@ def random_loop(seed: int) -> Loop:
 
 
 def found(loop: Loop) -> tuple[np.ndarray, np.ndarray, float]:
-    """|L| = 1, the negative real axis above -80 dB, and the least |1 + L|, between the frequencies above."""
+    """Return |L| = 1, the negative real axis above -80 dB, and the least |1 + L|, between the frequencies above."""
     m = margins(loop)
     inside = [
         (f > LOWEST_HZ) & (f < min(HIGHEST_HZ, loop.highest_hz * (1.0 - 1e-9)))
@@ -100,7 +100,7 @@ def test_crossings_are_those_of_exact_arithmetic(seed):
 
 @pytest.mark.parametrize("seed", [13, 369, 417, 468])
 def test_the_least_distance_at_frequency_zero_is_that_of_60_digits(seed):
-    """In 11 of 64 stable loops of 500 a grid that begins at 1e-3 Hz ends up to 0.4 above the least |1 + L|."""
+    """The least distance equals that in 60 digits; a grid from 1e-3 Hz is up to 0.4 too large for 11 of 64 loops."""
     loop = random_loop(seed)
     m, s = margins(loop), loop.state_space()
     assert m.disks.sensitivity.frequency_hz == 0.0
@@ -112,10 +112,10 @@ def test_the_least_distance_at_frequency_zero_is_that_of_60_digits(seed):
 
 
 def dense(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
-    """Return the frequencies and L by a linear system at each, close to every pole of L and of the closed loop.
+    """Return frequencies and L by a linear system at each, dense near every pole of L and of the closed loop.
 
-    (By partial fractions of the whole realisation L is wrong by a factor of two where it is small: poles of filter and
-    actuator lie close together.)
+    By partial fractions of the whole realisation, L is wrong by a factor of two where it is small, because poles of
+    filter and actuator are close together.
     """
     end = min(HIGHEST_HZ, loop.highest_hz * (1.0 - 1e-9))
     s = loop.state_space()
@@ -153,7 +153,10 @@ def test_no_sign_change_between_dense_points_is_missed_and_none_is_nearer():
 
 @pytest.mark.parametrize("sample_s", [None, 0.01])
 def test_bounds_of_slopes_hold_between_all_points(sample_s):
-    """Against differences of ln L between points a thousand times denser; poles inside, outside and near the axis."""
+    """The bounds hold for differences of ln L between points a thousand times denser.
+
+    Poles are inside, outside and near the axis.
+    """
     rng = np.random.default_rng(5)
     at = -(10.0 ** rng.uniform(-4.0, 1.5, 12)) + 1j * 10.0 ** rng.uniform(-1.0, 2.4, 12)
     at[::4] = -at[::4].conj()

@@ -1,7 +1,7 @@
-"""Nichols zones and disks against a brute-force search along the curve.
+"""Nichols zones and disks equal an exhaustive search along the curve.
 
-The search takes the least value over a grid of tens of thousands of points, drawn again ten times around the least one.
-It is slow and reliable, and uses neither kinks nor parabolas.
+The search takes the least value over a grid of tens of thousands of points, refined ten times around the minimum. It is
+slow and reliable, and uses neither kinks nor parabolas.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def test_clearances_and_disks_of_random_loops(real, pairs, gain, zones):
 
 
 def test_a_zone_is_a_constraint_that_margins_alone_do_not_make():
-    """A loop with more than 6 dB and 30 deg on the axes that cuts the corner between them."""
+    """A loop with more than 6 dB and 30 deg on the axes misses the zone because it cuts the corner between them."""
     loop = ModalLoop.of([(0.0, 1.0), (-3.0, -1.0)], [(3.0, 0.1, -0.1, 0.1)])
     m = margins(loop, zones=(Zone("rectangle", 30.0, 6.0), Zone("diamond", 30.0, 6.0)))
     assert m.gain_up_db.value > 6.0
@@ -115,7 +115,7 @@ def test_zones_repeat_every_turn(turns):
     ],
 )
 def test_clearance_by_hand(shape, expected):
-    """At the rectangle's corner, at a quarter of both axes, at a half of both."""
+    """Clearances equal hand calculations at the rectangle's corner, at a quarter of both axes and at a half of both."""
     share = np.array([1.0, 0.25, 0.5])
     loop = -(10.0 ** (6.0 * share / 20.0)) * np.exp(1j * np.radians(30.0 * share))
     assert Zone(shape, 30.0, 6.0).clearance(loop) == pytest.approx(expected, abs=1e-12)

@@ -1,9 +1,9 @@
-"""An attack on the margins: random loops whose extremes of |L| come within 1e-9 of 0 dB.
+"""Margins are right for random loops whose extremes of |L| come within 1e-9 of 0 dB.
 
-| what | expected |
+| quantity | expected |
 |---|---|
 | continuous loops, and sampled at 0.01, 0.02, 0.05 s; up to three integrators, unstable poles, damping to 1e-4 | |
-| gain crossings | as many as sign changes between dense points with every extreme of |L| solved for among them |
+| gain crossings | as many as sign changes between dense points that include every extreme of |L| |
 | negative real axis above -80 dB | as many as sign changes between those points |
 | closed-loop poles to the right | by encirclements and from their list, as by polynomial roots in 60 digits |
 | least |1 + L| | no dense point is nearer |
@@ -32,7 +32,7 @@ def real(rng: np.random.Generator, top: float) -> float:
 
 
 def dense(loop: ZpkLoop) -> Array:
-    """Return the frequencies (Hz), close to every pole and zero, with the extremes of |L| among them."""
+    """Return frequencies (Hz), dense near every pole and zero, that include the extremes of |L|."""
     end = 100.0 if loop.sample_s is None else loop.highest_hz * (1.0 - 1e-3)
     known = np.concatenate([loop.poles, loop.zeros])
     near = [(p.imag + abs(p.real) * np.linspace(-4.0, 4.0, 401)) / (2.0 * np.pi) for p in known if p.imag > 0.0]
@@ -52,7 +52,7 @@ def dense(loop: ZpkLoop) -> Array:
 
 
 def random_loop(seed: int) -> ZpkLoop:
-    """Scaled so that one of its extremes lies 1e-9 above or below 0 dB, where it has any."""
+    """Return a random loop, scaled so that one of its extremes, if any, is 1e-9 above or below 0 dB."""
     rng = np.random.default_rng([77, seed])
     period = (None, 0.01, 0.02, 0.05)[seed % 4]
     top = 2.0 if period is None else float(np.log10(0.8 * np.pi / period))
@@ -115,7 +115,7 @@ def test_no_crossing_is_missed_or_invented_and_both_counts_of_poles_agree(seeds:
 
 @pytest.mark.parametrize("slow", np.linspace(6.9e-5, 9.6e-5, 7))
 def test_a_chain_of_slow_roots_does_not_make_a_loop_unstable(slow: float) -> None:
-    """Attitude control in thin air: roots of the path between 1e-5 and 1e-3 Hz, with gaps below the factor 16.
+    """Slow roots of attitude control in thin air between 1e-5 and 1e-3 Hz, with ratios below 16, leave the loop stable.
 
     The other roots of the closed loop are those of the polynomial.
     """

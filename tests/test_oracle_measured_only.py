@@ -1,7 +1,7 @@
-"""Margins of flight code, measured without a linear model, against the linear loop of the same law.
+"""Margins of flight code measured without a linear model equal those of the linear loop of the same law.
 
 The C code is the law of ksr3-robust by hand (examples/flight_software). The linear model of that design, which the
-measurement is not given, has its exact margins; a planted delay must show as lost delay margin.
+measurement does not use, has its exact margins; a planted delay must appear as lost delay margin.
 """
 
 from __future__ import annotations
@@ -53,9 +53,10 @@ def test_margins_and_response_are_those_of_the_linear_loop(library: Path) -> Non
 
 
 def test_a_limit_cycle_of_the_converter_is_no_growth(library: Path) -> None:
-    """At 30 s a pulse of the gyro wakes the law after half a minute of rest: 0.013 deg, less than a tenth of a count.
+    """A limit cycle is not reported as growth: at 30 s a gyro pulse moves the gimbal after half a minute of rest.
 
-    The floor is far below the limits of the gimbal, and zero without rounding.
+    Its 0.013 deg are less than a tenth of a count. The floor is far below the limits of the gimbal, and zero without
+    rounding.
     """
     loaded, node = load_scenario("nominal", ["design=", *flies(library=library)]), maxq.nodes("nominal", [30.0])[0]
     assert measure_node(loaded, node, bands=(), names=()).stable
@@ -78,7 +79,7 @@ def test_a_planted_delay_is_lost_delay_margin(library: Path) -> None:
 
 
 def test_with_a_design_the_certificate_compares_flight_code_with_it(library: Path) -> None:
-    """The law by hand agrees with the design; with another design's linear loop it does not."""
+    """The law by hand agrees with its design, and disagrees with the linear loop of another design."""
     node = maxq.nodes("nominal", [NODE_S])[0]
     same = certify_node(load_scenario("nominal", flies(library=library)), node, bands=BANDS[:1], names=("delay",))
     assert same.unexplained == ()

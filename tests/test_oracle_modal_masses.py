@@ -1,8 +1,8 @@
-"""The roll coupling of spatial modes of a vehicle that is no body of revolution, against sums over its particles.
+"""The roll coupling of spatial modes of an asymmetric vehicle equals sums over its particles.
 
 Fifteen sections of the axis and two engines off the axis carry the modes, which are random combinations of bending,
-torsion and axial motion that are orthogonal under all masses. They are no closed set: turned about x, they are no sums
-of modes. Least squares over the masses of the sections alone give shares that are wrong by up to 0.028 of 0.39.
+torsion and axial motion, orthogonal under all masses. The set is not closed: modes turned about x are not sums of
+modes. Least squares over the masses of the sections alone give shares that are wrong by up to 0.028 of 0.39.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def arm(engine: tuple) -> Array:  # type: ignore[type-arg]  # a row of ENGINES
 
 
 def carried(move: Array, turn: Array, *, engines: bool) -> tuple[Array, Array, Array]:
-    """Weights (W,), motions (n, W, 3) of everything that moves, and the same of fields turned by a right angle."""
+    """Return weights (W,) and motions (n, W, 3) of all moving masses, and the motions of fields turned by 90 deg."""
     weight, motion = [*AXIS_KG, *ROLL_KGM2], [*move.transpose(1, 0, 2), *(EX * turn).transpose(1, 0, 2)]
     quarter = [np.cross(EX, each) for each in motion]
     for engine in ENGINES if engines else ():

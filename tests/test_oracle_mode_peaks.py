@@ -1,11 +1,11 @@
-"""Peaks of bending modes and crossings that belong to them, by the own part of a mode in L (`loop.own_part`).
+"""Peaks of bending modes and their crossings follow from the mode's own contribution to L (`loop.own_part`).
 
-| what | against |
+| quantity | against |
 |---|---|
 | own part of a mode in a sampled loop | the state matrices of its pole pair alone, sampled by matrix exponentials |
 | the same, at ordinary and at folded frequencies | the loop less that with the mode too stiff to move |
-| a design of a stage whose mode passes the sample rate | limits that the rigid body misses by 15 dB at that frequency |
-| peaks and phase at mode 1 of the optimiser | those of the judge, at nodes of all shipped vehicles |
+| a design of a stage with a mode passing the sample rate | limits missed by the rigid body by 15 dB there |
+| peaks and phase at mode 1 of the optimiser | those of the judge, at operating points of all shipped vehicles |
 | dispersed vehicles at the sample rate | `margins` of each |
 """
 
@@ -80,7 +80,7 @@ def test_own_part_is_that_of_the_pole_pair_alone(time_s: float) -> None:
 
 
 def test_own_part_is_what_the_loop_loses_without_the_mode() -> None:
-    """The own part is 48.5 dB below 1 at 15.4 Hz, and 67 dB at 2.1 Hz; slosh, which shifts a little, is the rest."""
+    """The own part is 48.5 dB below 1 at 15.4 Hz and 67 dB at 2.1 Hz; the rest is a small change of slosh."""
     design = maxq.load_design("designs/ksr3-robust")
     for time_s, wanted_db, within_db in (
         (20.0, -48.50, 0.01),
@@ -98,7 +98,7 @@ def test_own_part_is_what_the_loop_loses_without_the_mode() -> None:
 
 
 def test_peak_of_a_mode_at_the_sample_rate_is_its_own() -> None:
-    """|L| is the rigid body's there, up to 8.6 dB; nothing below 50 Hz changes by more than -41 dB with the mode."""
+    """At the folded frequency |L| is the rigid body's, up to 8.6 dB; below 50 Hz the mode adds less than -41 dB."""
     design, hz = maxq.load_design("designs/ksr3-robust"), np.geomspace(0.05, 49.9, 4000)
     for node in folding(40.0, 42.0, 43.0, 44.0):
         loop = Loop(SampledFixedPath(node), law_at(design, node))
@@ -115,7 +115,7 @@ def test_peak_of_a_mode_at_the_sample_rate_is_its_own() -> None:
 
 
 def fast_petrel(*overrides: str):
-    """Petrel's last stage in space with a mode that goes from 60 to 112 Hz, 11.1 dB below 0 dB."""
+    """Return petrel's last stage in space with a mode that moves from 60 to 112 Hz, 11.1 dB below 0 dB."""
     scenario = petrelkit.scenario("vehicle.stage.2.bending.frequency_factor=[1.4]")
     asked = ("stages=[3]", "between_nodes='ignore'", "limits.first_mode_db=-11.1", *overrides)
     loaded = read_case(petrelkit.folder() / "case.toml", asked)
@@ -125,7 +125,7 @@ def fast_petrel(*overrides: str):
 
 @pytest.mark.long
 def test_stage_whose_mode_passes_the_sample_rate_is_designed() -> None:
-    """By the band alone, 15.2 dB are missing: |L| of the rigid body at 0.06 Hz."""
+    """By the band alone, 15.2 dB would be missing, from |L| of the rigid body at 0.06 Hz."""
     s = solve(fast_petrel(f"nodes_s=[163.5, 270.0, 400.0, {PASSES}, 420.0, 463.0]"))
     assert s.status == "optimal"
     assert s.certificate.stable
@@ -145,7 +145,10 @@ ASKED = (
 
 
 def shipped() -> list[tuple]:
-    """Cases of all shipped vehicles with their designs; petrel's mode 2 at 92 s and mode 4 at 119.5 s are weak."""
+    """Return cases of all shipped vehicles with their designs.
+
+    Petrel's mode 2 at 92 s and mode 4 at 119.5 s are weak.
+    """
     ksr3 = "nodes_s=[0.5, 5.0, 30.0, 45.0, 55.0, 57.0]"
     free = (ksr3, "loop=pade", "gains.schedule=free", "limits.rigid_hz=0.1")
     found = [
@@ -160,7 +163,7 @@ def shipped() -> list[tuple]:
 
 @pytest.mark.long
 def test_optimiser_and_judge_find_the_same_peaks_and_phases() -> None:
-    """To 1e-9 dB with curves of 1e-10; those of the search, of 2e-7, give 1e-6 dB."""
+    """Peaks and phases agree to 1e-9 dB with curves of 1e-10, and to 1e-6 dB with the search's curves of 2e-7."""
     peaks, phases, weak = 0, 0, 0
     for loaded, design in shipped():
         plants = [make_plant(node, loaded.case) for node in nodes_of(loaded, loaded.case.times_s)]
@@ -187,7 +190,7 @@ def test_optimiser_and_judge_find_the_same_peaks_and_phases() -> None:
 
 @pytest.mark.slow
 def test_peak_is_continuous_in_the_strength_of_the_mode() -> None:
-    """L = m / (1 + i y) + r: from the largest |L| to |m| as m falls from 10 r to r / 10, without a jump."""
+    """For L = m / (1 + i y) + r the peak goes smoothly from the largest |L| to |m| as m falls from 10 r to r / 10."""
     y = np.linspace(-12.0, 12.0, 4801)
     for angle in np.linspace(0.0, 2.0 * np.pi, 13):
         found = []

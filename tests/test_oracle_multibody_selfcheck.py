@@ -1,6 +1,6 @@
-"""The multibody oracles checked against each other, closed forms and conservation laws.
+"""The multibody oracles agree with each other, closed forms and conservation laws.
 
-| what | against |
+| item | against |
 |---|---|
 | Lagrange (SymPy), no bending | MuJoCo: accelerations, actuator torque, energy, momenta |
 | Lagrange (SymPy), bending, pendulums, engine acceleration | a core of particles by Kane's method |
@@ -8,7 +8,7 @@
 | pendulum | closed form of two bodies; elliptic integral at 120 degrees |
 | engine | tail-wags-dog reaction on core and modes |
 | core | Euler's equations with the flexible angular momentum about x |
-| all of it, flown | energy, linear and angular momentum; actuators' work; damping's power |
+| whole system in flight | energy, linear and angular momentum; actuators' work; damping's power |
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def random_load(rng: np.random.Generator, n_pairs: int = 0) -> Load:
 
 
 def worst(a: dict[str, Floats], b: dict[str, Floats]) -> float:
-    """Return the largest difference over the quantities both hold, each relative to its own largest component."""
+    """Return the largest difference over the common quantities; each is relative to its largest component."""
     errors = [
         float(np.max(np.abs(a[key] - b[key])) / np.max(np.abs(a[key])))
         for key in a.keys() & b.keys()
@@ -164,7 +164,7 @@ def test_difference_from_mujoco_is_the_bob_inertia(seed: int) -> None:
 
 
 def test_two_hinge_gimbal_adds_the_roll_of_the_engine_and_nothing_else() -> None:
-    """A cardan rolls the engine at k = dpdot sin(dy): as if -(H' + w x H), H = I_t k d, acted on the core."""
+    """A cardan rolls the engine at k = dpdot sin(dy), as if -(H' + w x H), H = I_t k d, acted on the core."""
     rng = np.random.default_rng(8)
     vehicle = random_vehicle(rng)
     state, load = random_state(rng, vehicle), random_load(rng)
@@ -188,7 +188,7 @@ def test_two_hinge_gimbal_adds_the_roll_of_the_engine_and_nothing_else() -> None
 
 
 def test_actuator_torque_agrees_with_mujoco() -> None:
-    """At zero yaw angle and rate, where of the cardan's roll only a yaw torque -I_t dpdot (w . d) is left."""
+    """At zero yaw angle and rate, the cardan's roll leaves only a yaw torque -I_t dpdot (w . d)."""
     rng = np.random.default_rng(7)
     vehicle = random_vehicle(rng)
     state = replace(
@@ -244,7 +244,7 @@ def particle_vehicle(rng: np.random.Generator) -> tuple[multibody_particles.Beam
 
 @pytest.mark.parametrize("seed", range(5))
 def test_lagrange_agrees_with_particles_while_straight(seed: int) -> None:
-    """Any rates, pendulums at any angle, engine accelerating from its locked position: nothing is dropped."""
+    """For any rates, pendulum angles and engine accelerations from the locked position, the results are equal."""
     rng = np.random.default_rng(300 + seed)
     beam, vehicle = particle_vehicle(rng)
     state = replace(random_state(rng, vehicle, bent_m=0.0), deflection_rad=np.zeros(2), deflection_radps=np.zeros(2))
@@ -255,7 +255,7 @@ def test_lagrange_agrees_with_particles_while_straight(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_bending_drops_is_the_axial_velocity_alone(seed: int) -> None:
-    """At q = r = 0, M (q eta - r xi)^2 / 2 adds to the core's inertia and does nothing else."""
+    """At q = r = 0, M (q eta - r xi)^2 / 2 adds only to the core's inertia."""
     rng = np.random.default_rng(310 + seed)
     beam, vehicle = particle_vehicle(rng)
     state = replace(
@@ -293,7 +293,7 @@ def test_answer_does_not_depend_on_the_coordinates(
 
 
 def test_answer_does_not_depend_on_gravitation_or_on_the_inertial_frame() -> None:
-    """Uniform gravitation cannot be felt; nor can position, velocity or where I points."""
+    """The results are independent of uniform gravitation, position, velocity and the axes of I."""
     rng = np.random.default_rng(21)
     vehicle = random_vehicle(rng, random_pairs(rng))
     state, load = random_state(rng, vehicle), random_load(rng, 2)
@@ -309,7 +309,7 @@ def test_answer_does_not_depend_on_gravitation_or_on_the_inertial_frame() -> Non
 
 
 def energy_by_hand(vehicle: Vehicle, state: State) -> float:
-    """Return the kinetic energy of the brief, typed a second time without SymPy, matrices or pieces."""
+    """Return the kinetic energy, written a second time without SymPy, matrices or pieces."""
     w, v = state.w_BI_B_radps, state.C_IB.T @ state.v_I_mps
     nu_eta, nu_xi = state.etadot_mps + w[0] * state.xi_m, state.xidot_mps - w[0] * state.eta_m
     total = 0.5 * vehicle.mass_kg * (v @ v) + 0.5 * (w @ vehicle.inertia_B_kgm2 @ w)
@@ -358,7 +358,7 @@ def test_kinetic_energy_is_the_definition(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_pendulum_hinged_at_the_cg_is_a_two_body_problem(seed: int) -> None:
-    """Rod tension s = mu (L |udot|^2 - F.u / m0), mu the reduced mass; the core turns as if alone."""
+    """The rod tension is s = mu (L |udot|^2 - F.u / m0) with the reduced mass mu; the core turns as if alone."""
     rng = np.random.default_rng(30 + seed)
     pendulum = Pendulum(700.0, 0.6, np.zeros(3))
     vehicle = Vehicle(2000.0, INERTIA, None, (), (pendulum,))
@@ -409,7 +409,7 @@ def test_damping_force_acts_on_the_velocity_seen_from_the_body() -> None:
 
 
 def test_period_of_a_large_swing_under_acceleration() -> None:
-    """Quarter period sqrt(L / a) K(sin^2(60 deg)) from 120 degrees, for any core with the hinge at C0."""
+    """From 120 degrees the quarter period is sqrt(L / a) K(sin^2(60 deg)) for any core with the hinge at C0."""
     acceleration, length = 15.0, 0.6
     vehicle = Vehicle(2000.0, INERTIA, None, (), (Pendulum(700.0, length, np.zeros(3)),))
     amplitude = np.deg2rad(120.0)
@@ -421,7 +421,7 @@ def test_period_of_a_large_swing_under_acceleration() -> None:
 
 
 def test_tail_wags_dog() -> None:
-    """From rest J qdot = (I_E + m_E l_E l_C) D, m0 a_z = m_E l_E D, M etaddot = (m_E l_E phi_E + I_t s) D."""
+    """From rest, J qdot = (I_E + m_E l_E l_C) D, m0 a_z = m_E l_E D, M etaddot = (m_E l_E phi_E + I_t s) D."""
     gimbal = 5.0
     engine = Engine(300.0, 80.0, 0.9, np.array([-gimbal, 0.0, 0.0]))
     pair = ModePair(500.0, 400.0, 40.0, 44.0, 0.0, 0.0, -0.7, -0.6, 0.3, 0.2)
@@ -443,7 +443,7 @@ def test_tail_wags_dog() -> None:
 
 
 def test_deflected_engine_under_acceleration_turns_the_core_the_way_of_its_thrust() -> None:
-    """The engine's CG off the axis lags behind: J qdot = m_E l_E a_x sin(dp), errata 8, + on M_delta."""
+    """The engine's CG off the axis lags behind: J qdot = m_E l_E a_x sin(dp) adds to M_delta (erratum 8)."""
     engine = Engine(300.0, 80.0, 0.9, np.array([-5.0, 0.0, 0.0]))
     vehicle = Vehicle(6000.0, np.diag([3e3, 6e4, 6e4]), engine)
     state = State(deflection_rad=np.array([1e-6, 2e-6]))
@@ -454,7 +454,7 @@ def test_deflected_engine_under_acceleration_turns_the_core_the_way_of_its_thrus
 
 @pytest.mark.parametrize("symmetric", [True, False])
 def test_core_and_modes_alone_obey_euler_with_the_flexible_momentum(symmetric: bool) -> None:
-    """J wdot + w x (J w + h x) + hdot x = M, Mz nudot_eta + p My nu_xi = Qz (eta), likewise in yaw."""
+    """J wdot + w x (J w + h x) + hdot x = M and Mz nudot_eta + p My nu_xi = Qz (eta); likewise in yaw."""
     rng = np.random.default_rng(40)
     vehicle = Vehicle(6000.0, INERTIA, None, random_pairs(rng, symmetric))
     state, load = random_state(rng, vehicle), random_load(rng, 2)

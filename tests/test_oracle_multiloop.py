@@ -1,4 +1,4 @@
-"""Loops of several axes against Euler's equations with SciPy's sums of images, closed forms and brute force."""
+"""Loops of several axes equal Euler's equations with sums of images, closed forms and exhaustive searches."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ GYRO, ACTUATOR = (60.0, 0.65), (7.0, 0.7)
 
 @cache
 def spinning() -> Multiloop:
-    """Return a spinning rigid vehicle in empty space with three engines, whose gimbals control roll."""
+    """Return a spinning rigid vehicle in empty space with three engines whose gimbals control roll."""
     engines = [
         {
             "table": [{"time_s": 0.0, "thrust_vacuum_N": THRUST_N}],
@@ -64,7 +64,7 @@ def spinning() -> Multiloop:
 
 
 def images(frequencies_hz: Array, spin_radps: float = SPIN_RADPS) -> np.ndarray:
-    """L of the same from Euler's equations and the sum over the images of the sampled signal."""
+    """Return L of the same vehicle from Euler's equations and the sum over the images of the sampled signal."""
     arms = [np.array([CG[0] - x, y - CG[1], z - CG[2]]) for x, y, z in PLACES]
     # a positive pitch angle turns the thrust to +z, a positive yaw angle to -y
     columns = [np.cross(r, THRUST_N * np.array(side)) for r in arms for side in ((0, 0, 1), (0, -1, 0))]
@@ -103,7 +103,7 @@ def test_spinning_vehicle_is_eulers_equations() -> None:
 
 
 def test_one_loop_with_the_others_closed_is_the_determinants_ratio() -> None:
-    """1 + L_i = det(1 + L) / det(1 + L of the others): Schur's formula."""
+    """1 + L_i = det(1 + L) / det(1 + L of the others), by Schur's formula."""
     whole, eye = images(FREQUENCIES_HZ), np.eye(3)
     for k, axis in enumerate(GAINS):
         others = np.delete(np.delete(whole + eye, k, 1), k, 2)
@@ -124,7 +124,7 @@ def test_gain_margins_of_each_axis_are_where_the_closed_loop_loses_stability() -
 
 @pytest.mark.slow
 def test_disk_of_all_loops_by_brute_force_over_complex_factors() -> None:
-    """No factors inside the disks destabilise, and at the rim some do: found by minimising |det| over their phases."""
+    """No factors inside the disks destabilise, and some at the rim do, found by minimising |det| over their phases."""
     loop, rng = spinning(), np.random.default_rng(3)
     disk, s = multiloop_margins(loop).disk, loop.state_space
 
@@ -151,9 +151,10 @@ def test_disk_of_all_loops_by_brute_force_over_complex_factors() -> None:
 
 
 class Satellite:
-    """The spinning satellite of Blight, Dailey & Gangsaas (Int. J. Control 59(1), 1994) with a gain in front of it.
+    """The spinning satellite of Blight, Dailey & Gangsaas (Int. J. Control 59(1), 1994) with a gain at its input.
 
-    x' = a J x + u, y = C x: rates about two axes of a spinning body and what couples them. An `OpenLoop` for each.
+    x' = a J x + u, y = C x: rates about two axes of a spinning body and their coupling. There is an `OpenLoop` per
+    axis.
     """
 
     axes, time_s, highest_hz, path = ("pitch", "yaw"), 0.0, float("inf"), SimpleNamespace(sample_s=None)
@@ -178,10 +179,10 @@ class Satellite:
 
 
 def test_spinning_satellite() -> None:
-    """Unlimited gain and 90 deg in each loop with the other one closed, 0.87 dB in both.
+    """Each loop has unlimited gain and 90 deg with the other one closed, and 0.87 dB in both.
 
-    L is normal with the eigenvalues (1 + 10j) / (s - 10j) and its conjugate, so that mu is the greatest |eigenvalue|
-    of S - 1/2 = (s - 1 - 20j) / (2 (s + 1)), at w^2 + 20 w = 1.
+    L is normal with the eigenvalues (1 + 10j) / (s - 10j) and its conjugate, so that mu is the greatest |eigenvalue| of
+    S - 1/2 = (s - 1 - 20j) / (2 (s + 1)), at w^2 + 20 w = 1.
     """
     found = multiloop_margins(Satellite([[1, 10], [-10, 1]], [[1, 0], [0, 1]]))
     for m in found.each:
@@ -194,7 +195,7 @@ def test_spinning_satellite() -> None:
 
 @pytest.mark.parametrize(("across", "size", "at_radps"), [(8.0, 0.4890, 0.2250), (10.0, 0.3754, 0.0)])
 def test_published_margins_of_the_satellite_behind_an_uneven_gain(across: float, size: float, at_radps: float) -> None:
-    """The numbers in the documentation of MATLAB's diskmargin (The MathWorks), bounds 0.2 % apart."""
+    """The margins are those in the documentation of MATLAB's diskmargin (The MathWorks), with bounds 0.2 % apart."""
     found = multiloop_margins(Satellite([[1, across], [-10, 1]], [[1, -2], [0, 1]]))
     assert found.disk.size == pytest.approx(size, rel=2.5e-3)
     assert 2.0 * np.pi * found.disk.frequency_hz == pytest.approx(at_radps, abs=0.03)
@@ -203,7 +204,7 @@ def test_published_margins_of_the_satellite_behind_an_uneven_gain(across: float,
 
 @pytest.mark.parametrize("share", [0.3, 0.9, 0.99, 1.0, 1.01, 2.0, 3.9])
 def test_a_slow_root_beside_the_beginning_of_the_curve_is_no_instability(share: float) -> None:
-    """Two axes of L = 1 / (s - a), a about the lowest frequency: stable, S - 1/2 = (s - a - 1) / (2 (s - a + 1))."""
+    """Two axes of L = 1 / (s - a) with a slow root a are stable: S - 1/2 = (s - a - 1) / (2 (s - a + 1))."""
     slow = Satellite([[1, 0], [0, 1]], [[1, 0], [0, 1]])
     a = 2.0 * np.pi * LOWEST_HZ * share
     slow.a = a * np.eye(2)
@@ -213,7 +214,7 @@ def test_a_slow_root_beside_the_beginning_of_the_curve_is_no_instability(share: 
 
 
 def test_structured_singular_value_by_brute_force() -> None:
-    """mu is the greatest spectral radius of U M over diagonal unitary U; for triangular M the greatest entry there."""
+    """mu is the greatest spectral radius of U M over diagonal unitary U; for triangular M, a diagonal entry."""
     rng = np.random.default_rng(7)
     for n in (2, 3):
         for _ in range(4):

@@ -1,7 +1,7 @@
-"""Errors of navigation against closed forms and equations of one line.
+"""Navigation errors equal closed forms and one-dimensional equations.
 
 A cutoff is extrapolated over at most 1.5 samples of 10 ms. The error of a speed is at most 1.5^2 samples^2 / 2 times
-its second derivative, which is zero where the speed grows evenly.
+its second derivative, which is zero where the speed grows uniformly.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MU = 3.986004418e14
 def test_cutoff_is_where_the_navigated_speed_has_its_value(
     error: tuple[float, ...], alignment_deg: tuple[float, ...]
 ) -> None:
-    """The computed attitude is the true one turned by the alignment; the gained velocity is turned with it."""
+    """The computed attitude is the true one turned by the alignment error, and so is the gained velocity."""
     flight = in_space(
         500.0, {"navigation": {"velocity_error_mps": list(error), "alignment_error_deg": list(alignment_deg)}}
     )
@@ -42,7 +42,7 @@ def test_cutoff_is_where_the_navigated_speed_has_its_value(
 
 
 def test_a_drifting_gyro_turns_what_is_navigated() -> None:
-    """The velocity is the integral of a thrust that turns with the drift, of 0.5 deg/s about y."""
+    """The velocity is the integral of a thrust that turns with a drift of 0.5 deg/s about y."""
     drift = math.radians(0.5)
     gyro = {"station_m": 1.0, "omega_hz": 20.0, "zeta": 0.7, "bias_degph": [0.0, 1800.0, 0.0]}
     flight = in_space(500.0, {"navigation": {"alignment_error_deg": [0.0, 10.0, 0.0]}}, gyro=gyro)
@@ -57,7 +57,7 @@ def test_a_drifting_gyro_turns_what_is_navigated() -> None:
 
 
 def test_navigation_feels_gravitation_where_it_believes_to_be() -> None:
-    """Upwards on a round Earth, believed 900 m too high and 30 m/s too fast: one line of equations for each motion."""
+    """Gravitation is that of the navigated position, 900 m too high and 30 m/s too fast, on a vertical ascent."""
     errors = {"position_error_m": [0.0, 0.0, -900.0], "velocity_error_mps": [0.0, 0.0, -30.0]}
     wanted_m = 200e3
     tree = merged(TREE, {"run": {"duration_s": 150.0, "stop_at": ["burnout"]}, "navigation": errors})
@@ -82,7 +82,7 @@ def test_navigation_feels_gravitation_where_it_believes_to_be() -> None:
 
 
 def test_errors_do_not_grow_in_hold_down() -> None:
-    """Upwards on a flat Earth from a release at 5 s, the computed thrust 15 deg off the true one."""
+    """On a flat Earth with a release at 5 s and the computed thrust 15 deg off, errors begin at the release."""
     tree = merged(
         TREE,
         {

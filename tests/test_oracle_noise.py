@@ -1,4 +1,4 @@
-"""The noise generator against Random123's known answers, scipy's normal distribution and its statistics."""
+"""The noise generator has Random123's known answers and SciPy's normal distribution and statistics."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_uniforms_stay_inside_the_open_interval():
 
 
 def test_uniforms_are_the_upper_52_bits_of_two_words_each():
-    """In Python's own integers; `philox` takes index, stream and seed as pairs of words, the lower one first."""
+    """Uniforms equal Python integers; `philox` takes index, stream and seed as pairs of words, the lower one first."""
     for seed, stream, index in ((0, 0, 0), (1, 2, 3), (2**40 + 5, 7, 2**33 + 1), (-1, -2, -3)):
         words = philox(*(w for n in (index, stream, seed) for w in (n % 2**32, (n >> 32) % 2**32)))
         pairs = ((int(words[0]), int(words[1])), (int(words[2]), int(words[3])))
@@ -90,7 +90,7 @@ def test_sequence_is_white():
 
 @pytest.mark.parametrize("other", [(12, 4), (11, 5), (11 + 2**32, 4), (11, 4 + 2**32), (-11, 4), (4, 11)], ids=str)
 def test_seeds_and_streams_are_independent(other):
-    """Also those that differ in the upper half of the 64 bits only."""
+    """Seeds and streams are independent, also those that differ only in the upper half of the 64 bits."""
     assert abs(np.corrcoef(normals(11, 4), normals(*other))[0, 1]) < 4 / np.sqrt(N)
 
 
@@ -122,7 +122,7 @@ print(" ".join(standard_normal(s, 3, i).hex() for s in seeds for i in range(200)
 
 @pytest.mark.slow
 def test_identical_with_and_without_compilation():
-    """Bit for bit, and without a warning about overflow."""
+    """The bits are identical with and without compilation, and no overflow warning appears."""
     answers = []
     for disable in ("0", "1"):
         environment = {**os.environ, "NUMBA_DISABLE_JIT": disable}

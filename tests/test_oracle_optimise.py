@@ -1,6 +1,6 @@
-"""The optimiser against independent solutions.
+"""The optimiser agrees with independent solutions.
 
-| what | against |
+| quantity | against |
 |---|---|
 | curves between mesh points | the exact response |
 | gradients of ln L | complex step: ln|L| and arg L as analytic functions of the variables |
@@ -53,7 +53,7 @@ def test_curves_hold_between_their_points(loop: str) -> None:
 
 @pytest.mark.parametrize("sections", [(1, 0), (1, 1), (2, 2), (3, 1), (0, 2)])
 def test_filter_gradient_is_that_of_a_complex_step(sections: tuple[int, int]) -> None:
-    """Gain and phase of every polynomial as real functions of the variables, which a complex step differentiates."""
+    """The gradient equals a complex step through gain and phase of every polynomial as real functions."""
     layout = FilterVariables(*sections)
     rng = np.random.default_rng(2)
     y = np.array([rng.uniform(0.2, 1.0) if n.endswith("zeta") else rng.uniform(1.0, 4.0) for n in layout.names])
@@ -151,7 +151,7 @@ def test_peaks_and_crossings_are_those_of_the_margins(loop: str) -> None:
 
 
 def test_phase_at_mode_1_is_that_of_its_whole_lobe() -> None:
-    """A lobe 14 dB high crosses 0 dB farther away than the band of 3 % in which its peak is sought."""
+    """A lobe 14 dB high crosses 0 dB outside the 3 % band in which its peak is sought, and its phase still counts."""
     asked = ("filter.structure=F2", "objective.kind=least-margin", "limits.first_mode_phase_deg=45")
     p, compared = kit.problem("loop=sampled", *asked), 0
     gains = np.log(np.repeat([1.0, 0.45], kit.pd(p).gains.size // 2))
@@ -172,7 +172,7 @@ def test_phase_at_mode_1_is_that_of_its_whole_lobe() -> None:
 
 @LOOPS
 def test_unstable_poles_are_counted_as_they_are(loop: str) -> None:
-    """Over gains and filters of all kinds, stable and not."""
+    """The count is right over gains and filters of all kinds, stable and not."""
     p = kit.problem(f"loop={loop}")
     rng = np.random.default_rng(4)
     seen = set()
@@ -223,7 +223,7 @@ def test_quadratic_programme_fulfils_the_conditions_of_optimality() -> None:
 
 @pytest.mark.parametrize("reachable", [True, False])
 def test_a_step_weighs_the_objective_against_the_largest_excess(reachable: bool) -> None:
-    """Check that no step of a grid has less: objective + penalty x the rest of the largest excess + curvature."""
+    """No step on a grid has a smaller objective + penalty x rest of the largest excess + curvature."""
     gradient = np.array([[3.0, -1.0], [1.0, 2.0], [-2.0, 0.5], [-1.0, -2.5]])
     excess_db = np.array([4.0, 3.5, 0.4 if reachable else 9.0, -0.3])
     objective, curvature, radius = np.array([True, True, False, False]), np.array([[2.0, 0.3], [0.3, 1.0]]), 0.5
@@ -288,7 +288,7 @@ def test_phase_1_is_the_lowest_pair_of_lines() -> None:
 
 
 def penalised(p) -> Callable[[Array], float]:
-    """Return the same problem without gradients: exact responses, crossings by interpolation, limits as a penalty."""
+    """Return the same problem without gradients: exact responses, interpolated crossings, limits as a penalty."""
     plants = kit.all_nodes()
     grids = [plants.curves.frequency_hz[plants.curves.plant == i] for i in range(len(plants))]
     parts = [(x.path.response(f), x.path.integrator(f)) for x, f in zip(plants.each, grids, strict=True)]
@@ -323,7 +323,7 @@ def penalised(p) -> Callable[[Array], float]:
 
 
 def _interpolated(zero: Array, value: Array, where: Array) -> Array:
-    """`value` where `zero` changes its sign among neighbours of `where`, linearly in between."""
+    """Return `value` where `zero` changes sign between neighbours of `where`, interpolated linearly."""
     k = np.flatnonzero((np.sign(zero[1:]) != np.sign(zero[:-1])) & where[1:] & where[:-1])
     share = zero[k] / (zero[k] - zero[k + 1])
     return np.asarray(value[k] + share * (value[k + 1] - value[k]))
@@ -331,7 +331,7 @@ def _interpolated(zero: Array, value: Array, where: Array) -> Array:
 
 @pytest.mark.slow
 def test_no_global_search_beats_the_optimum_of_f2() -> None:
-    """Longer, and for higher orders: tools/dev/bench/optimise.py."""
+    """No global search finds a better F2; longer searches and higher orders are in tools/dev/bench/optimise.py."""
     p = kit.problem("filter.structure=F2", "gains.schedule=two-phase")
     ours = kit.solution("filter.structure=F2", "gains.schedule=two-phase")
     cost = penalised(p)

@@ -1,8 +1,8 @@
-"""Closed-loop guidance to an orbit, against SciPy: its own integration, the optimal burn, the orbit flown on.
+"""Closed-loop guidance to an orbit agrees with SciPy: integration, optimal burn, continued orbit.
 
-| what is checked | against |
+| quantity | against |
 |---|---|
-| orbit at the cutoff, with thrust and exhaust speed off | point mass by DOP853; heights over one revolution |
+| orbit at the cutoff, with errors of thrust and exhaust speed | point mass by DOP853; heights over one revolution |
 | its gravitation | gradient of the potential by complex step |
 | propellant | optimal steering: primer vector, a boundary-value problem solved by `root` |
 | petrel's flight, and dispersed ones | the scenario's orbit; the state flown on by DOP853; mass after the cutoff |
@@ -43,7 +43,7 @@ pulled, pushed = from_python(gravitation), from_python(thrust_acceleration)
 
 @dataclass(frozen=True)
 class Burn:
-    """Heights of perigee and apogee, inclination (None: free); J2, thrust over mass at the start, exhaust speed."""
+    """A burn: heights of perigee and apogee, inclination (None: free), J2, thrust over initial mass, exhaust speed."""
 
     perigee_m: float = 250e3
     apogee_m: float = 500e3
@@ -81,7 +81,7 @@ class Burn:
 
 
 def begun() -> tuple[Array, Array]:
-    """Return the position and velocity where an upper stage takes over, at 57 deg north."""
+    """Return position and velocity at the start of an upper stage, at 57 deg north."""
     up = np.array([math.cos(1.0), 0.0, math.sin(1.0)])
     north, east = np.cross(up, [0.0, 1.0, 0.0]), np.array([0.0, 1.0, 0.0])
     v = 2300.0 * (math.cos(1.2) * east + math.sin(1.2) * north) + 900.0 * up
@@ -89,7 +89,7 @@ def begun() -> tuple[Array, Array]:
 
 
 def flown(burn: Burn) -> tuple[float, Array, OrbitGuidanceState]:
-    """Return the time of the cutoff, position and velocity there; thrust exactly along what is commanded."""
+    """Return the time of the cutoff, position and velocity there; thrust is exactly along the command."""
     g, state = pack([burn.guidance()])[0], blank(OrbitGuidanceState)[0]
     start(state)
     (r, v), t = begun(), 0.0
@@ -109,7 +109,7 @@ def flown(burn: Burn) -> tuple[float, Array, OrbitGuidanceState]:
 
 
 def heights(burn: Burn, y: Array) -> tuple[float, float]:
-    """Return the least and largest height over the equatorial radius, of one revolution without J2."""
+    """Return the least and largest height above the equatorial radius in one revolution without J2."""
     kepler = replace(burn, j2=0.0)
     flight = solve_ivp(
         lambda _, x: np.concatenate([x[3:], kepler.gravitation(x[:3])]),
@@ -130,7 +130,7 @@ def test_gravitation_is_the_gradient_of_its_potential() -> None:
 
 
 def test_thrust_is_measured_and_foretold_and_the_plane_has_its_inclination() -> None:
-    """Three seconds of a burn, nose held in I: a = a_0 / (1 - a_0 t / c)."""
+    """In three seconds of a burn with the nose fixed in I, thrust follows a = a_0 / (1 - a_0 t / c)."""
     burn = Burn(inclination_deg=72.0)
     g, state = pack([burn.guidance()])[0], blank(OrbitGuidanceState)[0]
     start(state)
@@ -183,8 +183,11 @@ def test_the_cut_off_leaves_the_orbit_wanted(burn: Burn) -> None:
 
 
 def optimal_s(burn: Burn, guess: Array) -> float:
-    """Return the shortest burn to perigee, in the plane of the start, without J2: thrust along the primer
-    vector p, p'' = G p. `guess`: direction of thrust, its rate 1/s (2 each, in the axes of `plane`), time s."""
+    """Return the shortest burn to perigee in the plane of the start, without J2.
+
+    Thrust is along the primer vector p, p'' = G p. `guess`: direction of thrust, its rate in 1/s (2 each, in the axes
+    of `plane`), time in s.
+    """
     r, v = begun()
     normal = np.cross(r, v) / np.linalg.norm(np.cross(r, v))
     plane = np.array([r / np.linalg.norm(r), np.cross(normal, r / np.linalg.norm(r))])

@@ -1,13 +1,13 @@
-"""The PID law: kernel against SciPy's filters, linear side against its state matrix, gradients by the complex step.
+"""The PID law agrees with SciPy's filters, its state matrix and complex-step gradients.
 
-| what | oracle |
+| quantity | oracle |
 |---|---|
 | command of the computer, no limit reached | cumulative sums, `scipy.signal.lfilter` of the bending filter |
 | standing error under a constant torque | final value: none with an integral, torque / (M_delta k_p) without |
-| sum while the command is cut | closed loop without anti-windup, which overshoots more |
+| sum while the command is limited | closed loop without anti-windup, which overshoots more |
 | response of the loop | (zI - A)^-1 of its state matrix; margins' stability against closed poles |
 | gradient by the law's parameters | complex step on ln|L| and arg L in pairs of real numbers |
-| least and largest corner of the integral | k_i / (2 pi k_p) at all nodes of the optimum |
+| least and largest corner of the integral | k_i / (2 pi k_p) at all operating points of the optimum |
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Bounds of the structured singular value over real numbers against brute force and closed forms."""
+"""Bounds of the structured singular value over real numbers equal exhaustive searches and closed forms."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LOWEST_HZ = 1e-3  # slower roots are drift
 
 
 def brute_force(m: np.ndarray, ranks: list[int]) -> float:
-    """1 / least greatest real number at which 1 - M d is singular, over a grid of directions in the box's faces."""
+    """Return 1 / the least greatest real number at which 1 - M d is singular, over directions in the box's faces."""
     best = np.inf
     axes = np.linspace(-1.0, 1.0, 21)
     for face in range(len(ranks)):
@@ -58,7 +58,7 @@ def test_upper_bound_lies_above_brute_force_and_not_far(seed: int, ranks: list[i
 
 
 def test_of_one_real_number_it_is_the_greatest_real_eigenvalue() -> None:
-    """M = diag(3 j, 1): a real number d makes 1 - M d singular at d = 1 only; complex ones at 1/3."""
+    """For M = diag(3 j, 1), a real d makes 1 - M d singular only at d = 1; complex ones do at 1/3."""
     found, _ = real_mu_upper(np.diag([3.0j, 1.0]).astype(complex), [2])
     assert found == pytest.approx(1.0, rel=0.02)
 
@@ -75,8 +75,10 @@ def test_slopes_of_the_descent_are_differences() -> None:
 
 @pytest.mark.slow
 def test_determinant_of_the_deviations_is_that_of_the_sampled_loop() -> None:
-    """det(1 - M d) is the ratio of det(s - A(d)) (1 + L(d)), by differences of the loop that is judged; the actuator by
-    1 %, since with 15 % its poles bend between their ends."""
+    """det(1 - M d) is the ratio of det(s - A(d)) (1 + L(d)), by differences of the judged loop.
+
+    The actuator agrees to 1 %, since with 15 % its poles curve between their ends.
+    """
     node, campaign = design_nodes.node_at(45.0), campaign_of(Spread(actuator_frequency=0.01), design_nodes.nominal())
     deviations, law = deviations_of(campaign, node), law_at(design_nodes.design(), node)
     every = uncertain(node, campaign)
@@ -98,7 +100,9 @@ def test_determinant_of_the_deviations_is_that_of_the_sampled_loop() -> None:
 
 @pytest.mark.long
 def test_no_vehicle_of_the_box_is_unstable_and_one_farther_out_is() -> None:
-    """400 vehicles at corners and inside the box of mu are stable; a box a quarter larger contains an unstable one."""
+    """All of 400 vehicles at corners and inside the box of mu are stable; a box 1.25 times as large has an unstable
+    one.
+    """
     node, campaign = design_nodes.node_at(45.0), campaign_of(Spread(), design_nodes.nominal())
     deviations, design = deviations_of(campaign, node), design_nodes.design()
     found = stable_within(node, design, campaign)
@@ -121,7 +125,7 @@ def test_no_vehicle_of_the_box_is_unstable_and_one_farther_out_is() -> None:
 
 
 def by_hand(*changes: Array, gain: float = 2.0) -> tuple[Uncertain, np.ndarray]:
-    """Two integrators, each with a loop of this gain round it; `changes` (2, 2) of what couples them."""
+    """Return two integrators, each in a loop of this gain; `changes` (2, 2) of their coupling."""
     whole = np.block([[np.zeros((2, 2)), np.eye(2)], [np.eye(2), np.zeros((2, 2))]])
     padded = tuple(np.pad(change, (0, 2)) for change in changes)
     return Uncertain(whole, padded, np.zeros(len(changes)), np.ones(len(changes)), axes=2), gain * np.eye(2)
@@ -129,8 +133,9 @@ def by_hand(*changes: Array, gain: float = 2.0) -> tuple[Uncertain, np.ndarray]:
 
 @pytest.mark.slow
 def test_two_coupled_loops_have_the_bound_of_their_closed_form() -> None:
-    """s = -k +- sqrt(v w): two couplings are unstable from |v| = |w| = k on, one of both alike from k on; one alone,
-    and a rotation (s = -k +- j v), at no size.
+    """With s = -k +- sqrt(v w), two couplings destabilise from |v| = |w| = k, and one factor for both from k.
+
+    One coupling alone, and a rotation (s = -k +- j v), never do.
     """
     up, down = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0, 0.0], [1.0, 0.0]])
     for changes, wanted in (((up, down), 0.5), ((up + down,), 0.5), ((up,), 0.0), ((down - up,), 0.0)):
@@ -143,7 +148,7 @@ def test_two_coupled_loops_have_the_bound_of_their_closed_form() -> None:
 
 
 def test_a_delay_of_all_commands_is_that_of_each() -> None:
-    """Check two loops without coupling, whose det(1 - M v) is the square of that of one."""
+    """For two loops without coupling, det(1 - M v) is the square of that of one."""
     one = Uncertain(np.array([[0.0, 1.0], [1.0, 0.0]]), (np.zeros((2, 2)),), np.array([0.02]), np.ones(1))
     two = Uncertain(by_hand()[0].whole, (np.zeros((4, 4)),), np.array([0.02]), np.ones(1), axes=2)
     for hz in (0.3, 2.0):
@@ -167,9 +172,9 @@ FEW = Spread(
 @pytest.mark.long
 @pytest.mark.parametrize(("vehicle", "beyond"), [("ksr3", 3.6), ("petrel", 1.2)])
 def test_no_vehicle_within_the_bound_of_all_axes_is_unstable_and_one_beyond_is(vehicle: str, beyond: float) -> None:
-    """All corners of the box, by the closed poles of the simulator's own linearised loops of all axes.
+    """All corners of the box have stable poles in the simulator's linearised loops of all axes; one beyond does not.
 
-    Petrel's third mode, 0.1 rad/s from the axis, is where frequencies a hundredth of a hertz apart count.
+    For petrel's third mode, 0.1 rad/s from the axis, frequencies a hundredth of a hertz apart matter.
     """
     base, time_s = (design_nodes.nominal(), 45.0) if vehicle == "ksr3" else (petrelkit.scenario(), 40.0)
     design = base.design

@@ -1,4 +1,4 @@
-"""The picture shows what was flown: checked against the log's own numbers and independent geometry."""
+"""The replay scene equals the log's numbers and independent geometry."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_the_gyro_picks_up_from_all_modes_what_it_picks_up_from_each() -> None:
 
 
 def test_pose_is_that_of_the_frames_in_the_log() -> None:
-    """/tf is written by the flight; here it is read by the mcap package and protobuf."""
+    """The pose equals /tf, which the flight writes, read with the mcap package and protobuf."""
     logged = []
     for _, _, message, decoded in messages(OLD_LOG, "/tf"):
         frame = decoded.transforms[0]
@@ -102,7 +102,7 @@ def test_velocity_arrow_is_the_motion_of_the_picture() -> None:
 
 
 def test_the_ground_is_at_the_altitude_of_the_site() -> None:
-    """A sphere of the mean radius falls away by d^2 / 2 R: the ellipsoid's curvature differs by less than 1 %."""
+    """A sphere of the mean radius falls by d^2 / 2 R; the curvature of the ellipsoid differs by less than 1 %."""
     place = place_of(flight())
     east, north = np.array([0.0, 30e3, -50e3, 0.0]), np.array([0.0, -20e3, 0.0, 80e3])
     points = place.ground(east, north)
@@ -170,7 +170,7 @@ def test_earth_and_site_read_by_themselves_are_those_of_the_scenario() -> None:
 
 
 class Loaded:
-    """The flight with section loads at both ends: 3 : 4 about y and z, 100 N m a second aft, none in front."""
+    """The flight with section loads at both ends: 3 : 4 about y and z, 100 N m per second aft, none in front."""
 
     def __init__(self) -> None:
         self.log = flight().log
@@ -192,7 +192,7 @@ class Loaded:
 def test_skin_has_the_colour_of_its_bending_moment(
     limit_Nm: np.ndarray | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Check the last of sixteen pieces, 31/32 of the way aft, which carries 31/32 of 100 t N m."""
+    """The last of sixteen pieces, 31/32 of the way aft, has the colour of 31/32 of 100 t N m."""
     sent: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     said: list[str] = []
 
@@ -227,7 +227,7 @@ def test_skin_has_the_colour_of_its_bending_moment(
 
 
 def test_read_outs_are_the_last_samples_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A row of the table against the log, read sample by sample."""
+    """A row of the table contains the last samples of the log before its time."""
     sent: list[tuple[list[int], list[str]]] = []
 
     def keep(_: rr.RecordingStream, entity: str, indexes: Iterable[Any], columns: Iterable[ComponentColumn]) -> None:
@@ -249,7 +249,7 @@ def test_read_outs_are_the_last_samples_before(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_boosters_fall_behind_the_core_and_drift_outwards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A booster leaves at 7 s under 2 g: 3 s later it is g t^2 aft and 2 m/s t away from the axis."""
+    """A booster that leaves at 7 s under 2 g is g t^2 aft and 2 m/s t off the axis, up to 3 s later."""
     sent: dict[str, tuple[np.ndarray, np.ndarray]] = {}
 
     def keep(_: Scene, entity: str, times_ns: np.ndarray, columns: Iterable[ComponentColumn]) -> None:

@@ -1,11 +1,11 @@
-"""Several burns of one engine, against Hohmann's transfer, Kepler's equation and SciPy.
+"""Several burns of one engine agree with Hohmann's transfer, Kepler's equation and SciPy.
 
-| what is checked | against |
+| quantity | against |
 |---|---|
 | speed gained by each burn (rocket equation from the log's mass) | Hohmann's two impulses |
 | coast | conserved energy and angular momentum; SciPy's DOP853 from cutoff to restart |
 | instant of the restart | apogee found by SciPy; mean anomaly of a state made from it |
-| propellant | thrust over exhaust speed times the time of both burns; nothing leaves in the coast |
+| propellant | thrust over exhaust speed times the time of both burns; no flow in the coast |
 | settling | a bob that swung in the coast hangs in line with the thrust |
 """
 
@@ -120,7 +120,7 @@ def kepler(_: float, y: Array) -> Array:
 
 @pytest.mark.slow
 def test_two_burns_are_hohmanns_transfer() -> None:
-    """A burn over the angle a from the apsis loses at most a^2 / 6 of its impulse: 24 s are 0.028 rad."""
+    """A burn over the angle a from the apsis loses at most a^2 / 6 of its impulse; 24 s are 0.028 rad."""
     flown, axis_m = flight(), 0.5 * (LOW_m + HIGH_m)
     ends = (math.sqrt(MU / LOW_m), math.sqrt(MU * (2.0 / LOW_m - 1.0 / axis_m)))
     high = (math.sqrt(MU * (2.0 / HIGH_m - 1.0 / axis_m)), math.sqrt(MU / HIGH_m))
@@ -204,7 +204,7 @@ TANK: Tree = {
 
 
 def settled_deg(settling_s: float) -> float:
-    """Return the largest angle of the bob in the second burn, after a coast in which the vehicle turned by 45 deg."""
+    """Return the largest bob angle in the second burn, after a coast in which the vehicle turned by 45 deg."""
     coast: dict[str, Any] = {"coast_s": 100.0, "settling_s": settling_s, "settling_thrust_N": 400.0}
     last = {"cutoff": {"inertial_speed_mps": 7900.0}}
     k = math.sqrt(0.5)
@@ -220,7 +220,7 @@ def settled_deg(settling_s: float) -> float:
 
 @pytest.mark.slow
 def test_settling_thrust_brings_the_liquid_aft() -> None:
-    """0.2 m/s2 on a pendulum of 0.4 m: a period of 9 s, and 80 s of it damp by exp(-0.1 0.71 80) = 0.003."""
+    """Under 0.2 m/s2, a pendulum of 0.4 m has a period of 9 s and decays by exp(-0.1 0.71 80) = 0.003 in 80 s."""
     assert settled_deg(80.0) < 1.0
     assert settled_deg(0.0) > 5.0
 
@@ -228,7 +228,7 @@ def test_settling_thrust_brings_the_liquid_aft() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("coast_s", [9.99, 10.0, 10.03, 10.07])
 def test_a_restart_at_the_instant_of_a_sample_happens_once(coast_s: float) -> None:
-    """The first cutoff is due at the ignition, on a sample; rounding puts the restart before or behind another one."""
+    """The first cutoff is due at the ignition, on a sample; rounding moves the restart across another sample."""
     last = {"coast_s": coast_s, "cutoff": {"inertial_speed_mps": 7760.0}}
     ends = {"cutoff": {"inertial_speed_mps": 7000.0}, "restart": [last]}
     flown = fly(load(merged({**TREE, "guidance": ends}, {"run": {"duration_s": 20.0}})), log=False)
@@ -307,7 +307,7 @@ def test_burns_that_cannot_be(changes: Tree, said: str) -> None:
 
 
 def test_settling_thrust_counts_as_an_axial_load() -> None:
-    """20 kN before the second burn, on what the first one left, are more than the 16 kN of the engine after it."""
+    """Settling by 20 kN, on the mass left by the first burn, exceeds the 16 kN of the second burn as an axial load."""
     push = {"coast_s": 5.0, "settling_s": 3.0, "settling_thrust_N": 20000.0, "cutoff": {"inertial_speed_mps": 9000.0}}
     ends = {"cutoff": {"inertial_speed_mps": 7760.0}, "restart": [push]}
     tree = merged({**TREE, "guidance": ends}, {"run": {"duration_s": 40.0}})
@@ -319,7 +319,7 @@ def test_settling_thrust_counts_as_an_axial_load() -> None:
 
 
 def test_no_cutoff_is_commanded_after_the_propellant_is_exhausted() -> None:
-    """Falling back towards the Earth, the speed passes the value that the burn did not reach: nothing settles it."""
+    """Falling towards the Earth, the vehicle passes the speed that the burn did not reach, and nothing is commanded."""
     push = {"coast_s": 50.0, "settling_s": 49.0, "settling_thrust_N": 900.0, "cutoff": {"inertial_speed_mps": 9000.0}}
     low = {"inertial_mps": [1500.0, 3000.0, 0.0]}
     tree = merged({**TREE, "guidance": {"restart": [push]}}, {"run": {"duration_s": 700.0}, "initial": low})
@@ -334,7 +334,7 @@ def test_no_cutoff_is_commanded_after_the_propellant_is_exhausted() -> None:
 
 
 def test_the_flight_for_operating_points_ends_at_the_first_cutoff(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The mission of two burns lasts 3,000 s. Points are those of the first burn, which ends early."""
+    """The two-burn mission lasts 3,000 s, but the flight for operating points ends at the first cutoff."""
     runs, begin = [], powered.flown_run
 
     def kept(*given: Any) -> FlightRun:

@@ -1,11 +1,11 @@
-"""Ring baffles in the linear model: their describing function at the swing that is flown.
+"""Ring baffles in the linear model have the describing function at the flown swing.
 
-| what | against |
+| quantity | against |
 |---|---|
 | damping of a plane swing of any amplitude | first harmonic of the simulator's damper, integrated over a cycle |
-| swing that any motion is worth | equal work of damper and linear model over that motion, by quadrature |
+| equivalent swing of any motion | equal work of damper and linear model over that motion, by quadrature |
 | small motion on a large swing | 5/4 in its plane, 5/6 across: averages of the damper's slope |
-| swing at a node | half the peak-to-peak value in the flight's log |
+| swing at an operating point | half the peak-to-peak value in the flight's log |
 | plant | the one by d'Alembert's principle with that damping as a constant |
 | loop with rings by their law in a held flight | linear loop at the swing flown, 0.2 dB; planted faults are found |
 """
@@ -61,7 +61,7 @@ def test_linear_damping_is_the_first_harmonic_of_the_damper(swing_deg: float) ->
 
 
 def test_any_motion_is_worth_the_swing_that_takes_as_much_work() -> None:
-    """A linear damper of k sqrt(A) against the drag k' v^(3/2), whose k' follows from a plane swing by quadrature."""
+    """A linear damper of k sqrt(A) does the work of the drag k' v^(3/2), with k' from a plane swing."""
     omega = 7.0
     per_swing = math.pi / quad(lambda x: abs(math.cos(x)) ** 2.5, 0.0, 2.0 * math.pi)[0]  # k' sqrt(omega) / k
     for beat, share, across in ((1.0, 0.0, 0.0), (1.37, 0.7, 0.0), (1.0, 0.0, 1.0), (0.61, 0.4, 0.5)):
@@ -93,7 +93,7 @@ def node(loaded: LoadedScenario) -> Node:
 
 
 def test_swing_at_a_node_is_that_of_the_flight(loaded: LoadedScenario, node: Node) -> None:
-    """A sine at the pendulums' frequency swings the liquid: amplitudes in the log about the node."""
+    """A sine at the pendulum frequency moves the liquid with the amplitudes of the log near the operating point."""
     hz = math.sqrt(node.axial_load_mps2 / node.vehicle.pendulums.length_m[0]) / (2.0 * math.pi)
     signal = (
         "injection=[{at='gimbal_command',axis='pitch',kind='sine',amplitude_deg=0.8,frequency_hz="

@@ -1,11 +1,11 @@
-"""Gimballed engines on a bent, rolling body with liquid against particles (tests/oracles/rolling_particles.py).
+"""Gimballed engines on a bent, rolling body with liquid equal particles (tests/oracles/rolling_particles.py).
 
-The roll rate is 1 rad/s, everything else is small. There are two engines off the axis at two stations, on compliant
-gimbals or driven by their actuators. Two pairs of modes (planar, or spatial and turned about x) and two bobs follow.
+The roll rate is 1 rad/s, and all other quantities are small. There are two engines off the axis at two stations, on
+compliant gimbals or driven by their actuators, two pairs of modes (planar, or spatial and turned about x) and two bobs.
 The equations of motion agree with the particles' to first order in modal coordinates and rates, gimbal angles and
 rates, bob angles and rates, pitch and yaw rate. Without the products of roll rate, gimbal angle and modal rate in the
-engine's energy (docs/model.md, 3.2) the modal accelerations per modal rate are off by 0.71 of 2.0, per gimbal rate by
-0.18, the engines' by 5.3 and 0.69.
+engine's energy (docs/model.md, 3.2), the modal accelerations per modal rate are off by 0.71 of 2.0 and per gimbal rate
+by 0.18, the engines' by 5.3 and 0.69.
 """
 
 from __future__ import annotations
@@ -150,8 +150,8 @@ def state_of(v: Vehicles, q: Floats, rate: Floats) -> Array:
 def of_simulator(v: Vehicles, q: Floats, rate: Floats, actuators: Floats) -> tuple[Floats, Floats]:
     """Return accelerations of the particles' coordinates, and the engines' motion.
 
-    The motion (4, 3) is angle, rate, acceleration of each engine in pitch and yaw. `actuators`: states of the
-    actuators (24,), which drive the engines or hold the far ends of their springs.
+    The motion (4, 3) is angle, rate and acceleration of each engine in pitch and yaw. `actuators`: states (24,) of the
+    actuators, which drive the engines or hold the far ends of their springs.
     """
     made = v.made
     y = state_of(v, q, rate)
@@ -198,7 +198,7 @@ def preload(engine: PointEngine) -> Floats:
 def actuator_maps(v: Vehicles) -> list[Floats]:
     """Return the states (6) of an actuator per angle, rate and acceleration (3), for each engine in pitch and yaw.
 
-    With compliant gimbals of the far end of the spring, whose acceleration means nothing.
+    With compliant gimbals the motion is that of the far end of the spring, whose acceleration has no meaning.
     """
     zero, out = np.zeros(v.particles.size), []
     for number in range(2 * len(ENGINES)):
@@ -219,9 +219,9 @@ def actuators_of(v: Vehicles, motion: Floats) -> Floats:
 
 
 def both(v: Vehicles, amount: Floats) -> tuple[Floats, Floats]:
-    """Return the accelerations by the simulator and by the particles, the small quantities being `amount`.
+    """Return the accelerations by the simulator and by the particles for small quantities `amount`.
 
-    These are: pitch and yaw rate, then coordinates and rates from the modes on. Driven engines have accelerations, too.
+    They are pitch and yaw rate, then coordinates and rates from the modes on. Driven engines also have accelerations.
     """
     size = v.particles.size
     q, rate, motion = np.zeros(size), np.zeros(size), np.zeros((2 * len(ENGINES), 3))

@@ -1,10 +1,10 @@
-"""Gains over speed, mass and dynamic pressure: computer, flight, linear loop and optimiser.
+"""Gains over speed, mass and dynamic pressure agree in computer, flight, linear loop and optimiser.
 
-| what | oracle |
+| quantity | oracle |
 |---|---|
-| gains of the computer | `np.interp` at what it was given |
-| gains of a flight in wind | `np.interp` at speed, mass and pressure from the log and an atmosphere of its own |
-| law of a node | `np.interp` at the node's own speed, mass, density |
+| gains of the computer | `np.interp` at its inputs |
+| gains of a flight in wind | `np.interp` at speed, mass and pressure from the log and a separate atmosphere |
+| law of an operating point | `np.interp` at its speed, mass, density |
 | laws of the optimiser, and their gradient | `np.interp`, complex step |
 """
 
@@ -122,7 +122,7 @@ def test_optimiser_schedules_over_pressure() -> None:
     variables = np.concatenate([law.starts(1, 1)[0][:n], u])
 
     def gains(u: Any) -> Any:
-        """(plants, 2), in complex arithmetic."""
+        """Return the gains (plants, 2) in complex arithmetic."""
         nodes, k = np.array([2000.0, 30000.0, 60000.0]), np.exp(u).reshape(2, 3)
         i = np.clip(np.searchsorted(nodes, pressure) - 1, 0, 1)
         share = np.clip((pressure - nodes[i]) / (nodes[i + 1] - nodes[i]), 0.0, 1.0)

@@ -1,11 +1,11 @@
-"""Section loads against closed forms, a finite-element beam and Newton's law for the parts behind the cut.
+"""Section loads equal closed forms, a finite-element beam and Newton's law for the parts behind the cut.
 
-| what | against |
+| case | against |
 |---|---|
 | uniform rod pushed at its tail, spun end over end, standing on the pad, in steady wind | closed forms |
 | beam with modes under a harmonic force | finite elements without modes, solved at the frequency |
 | accelerated beam bent by a gimballed engine, at rest in its own frame | finite elements with geometric stiffness |
-| tanks, swinging engine, air, rates, CG off the axis at once | Newton and Euler for what is behind the gimbal |
+| tanks, swinging engine, air, rates, CG off the axis at once | Newton and Euler for the parts behind the gimbal |
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def forward_kg(beam: Beam) -> Array:
 
 
 def beam_vehicle(beam: Beam, modes: int, stations: Array, **sections: Any) -> Tree:
-    """Return the beam's first modes in pitch, its mass as rods and a point."""
+    """Return the beam's first modes in pitch, with its mass as rods and a point."""
     omega, mass, phi, slope = beam.modes(modes)
     ends = beam.x[[0, 80, 180, 240]]
     rods = [
@@ -189,9 +189,9 @@ def of_modes(made: Rig) -> slice:
 
 @pytest.mark.parametrize(("modes", "tolerance"), [(3, 0.012), (8, 4e-4)])
 def test_a_beam_that_vibrates_under_a_harmonic_force(modes: int, tolerance: float) -> None:
-    """The force is a lifting part's near the nose; modal coordinates as at the peak of the steady vibration.
+    """The force acts on a lifting part near the nose; modal coordinates are those at the peak of the steady vibration.
 
-    Modes that are left out answer as if they were rigid: the error falls with the number of modes.
+    Omitted modes respond as rigid; the error falls with the number of modes.
     """
     beam = a_beam()
     omega, mass, phi, _ = beam.modes(modes)
@@ -214,8 +214,9 @@ def test_a_beam_that_vibrates_under_a_harmonic_force(modes: int, tolerance: floa
 
 
 def test_a_beam_bent_by_a_gimballed_engine_under_thrust() -> None:
-    """Quasi-static: modal coordinates at which the simulator finds no modal acceleration. The axial force of the bent
-    beam has a moment of its own, which the finite elements have from their geometric stiffness.
+    """In quasi-static state the modal accelerations are zero, and the moments equal those of finite elements.
+
+    The axial force of the bent beam has a moment, which the finite elements have from their geometric stiffness.
     """
     thrust_N, angle_deg, modes = 3.0e5, 6.0, 8
     along, across = thrust_N * np.cos(np.radians(angle_deg)), thrust_N * np.sin(np.radians(angle_deg))
@@ -340,7 +341,7 @@ def test_what_is_forward_of_the_gimbal_balances_what_is_behind_it() -> None:
 
 
 def thrust_axis(angles: Array) -> tuple[Array, Array, Array]:
-    """Return the axis of the thrust and its derivatives, by finite differences in time of its definition."""
+    """Return the thrust axis and its derivatives by finite differences in time of its definition."""
 
     def axis(t: float) -> Array:
         p, y = angles @ np.array([1.0, t, 0.5 * t * t])

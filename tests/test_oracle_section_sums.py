@@ -1,4 +1,4 @@
-"""Section loads inside a vehicle that bends, sloshes, turns and flies in wind: forces forward of each cut, summed here.
+"""Section loads of a vehicle that bends, sloshes, turns and flies in wind equal sums of forces forward of each cut.
 
 The loads, their places and signs are those of docs/model.md, section 13. Integrals over the core are Gauss sums of
 point masses. The vehicle's accelerations are the simulator's, which other tests compare with Lagrange's equations.
@@ -32,12 +32,12 @@ SHAPE = np.polynomial.Polynomial([1.0, -0.42, 0.031, -0.0004])  # a cubic is its
 
 
 def core_points() -> tuple[Array, Array, Array]:
-    """Station and mass of points that stand for the core across the axis; the column of each, -1: structure."""
+    """Return stations and masses of points that represent the core, and the column of each; -1: structure."""
     nodes, weights = np.polynomial.legendre.leggauss(3)
     x, kg, column = [np.array([ENGINE_M])], [np.array([ENGINE_KG])], [np.array([-1])]
 
     def add(front: float, rear: float, which: int, mean: float, slope: float = 0.0) -> None:
-        """Points of a density `mean` + `slope` (x - middle), cut at every section."""
+        """Add points of a density `mean` + `slope` (x - middle), split at every section."""
         ends = [front, *(cut for cut in CUTS_M if front < cut < rear), rear]
         for a, b in itertools.pairwise(ends):
             at = 0.5 * (a + b) + 0.5 * (b - a) * nodes
@@ -110,7 +110,7 @@ def vehicle() -> Tree:
 
 
 class Sum:
-    """Axial force, shear and moments at the cuts; forces are added by their station and place across the axis."""
+    """The axial force, shear and moments at the cuts, summed over forces at a station and lateral place."""
 
     def __init__(self, bend_m: Array) -> None:
         self.cuts, self.bend_m = np.array(CUTS_M), bend_m  # (2,): modal displacement of y and z per unit of shape

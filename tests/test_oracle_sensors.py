@@ -1,6 +1,6 @@
-"""Rate gyros at own stations and the accelerometer: simulator, computer, linear model and loop.
+"""Rate gyros at separate stations and the accelerometer agree in simulator, computer, linear model and loop.
 
-| what | oracle |
+| quantity | oracle |
 |---|---|
 | rate and specific force of a turning, bent vehicle | velocity and attitude there, differentiated along its motion |
 | outputs of the linear model, both planes | the simulator, linearised numerically |
@@ -68,7 +68,7 @@ AT = 1  # index of the sensors' station
 
 
 def turning() -> Rig:
-    """All at once: turning about all axes, bent, with liquid and engine in motion."""
+    """Return a vehicle that turns about all axes, bent, with liquid and engine in motion."""
     sensor = {"station_m": STATIONS[AT], "omega_hz": 60.0, "zeta": 0.65}
     made = rig(with_stage(scenario_of(PARTS), rate_gyro=[sensor], accelerometer=sensor))
     rng = np.random.default_rng(5)
@@ -87,7 +87,7 @@ def turning() -> Rig:
 
 
 def sensor_motion(y: Array) -> tuple[Array, Rotation]:
-    """Return the velocity of the sensor in I, and attitude of its axes, from the state alone."""
+    """Return the velocity of the sensor in I and the attitude of its axes, from the state alone."""
     body = Rotation.from_quat(np.roll(y[layout.Q_BI : layout.Q_BI + 4], -1))
     w = y[layout.W_BI_B : layout.W_BI_B + 3]
     eta, nu, xi, nu_yaw = y[layout.N_FIXED : layout.N_FIXED + 4]
@@ -252,7 +252,7 @@ def test_counts_latency_lost_samples_and_blend() -> None:
 
 @pytest.mark.parametrize("lost", [(0, 0, 0), (0, 1, 0), (0, 0, 1)])
 def test_flight_code_gets_each_sensor_in_its_own_place(lost: tuple[int, int, int]) -> None:
-    """Two gyros and an accelerometer, in plain Python, where an index beyond an array is an error."""
+    """Two gyros and an accelerometer keep their indices in plain Python, where an index beyond an array is an error."""
     value, delta = np.arange(9.0).reshape(3, 3), 10.0 + np.arange(9.0).reshape(3, 3)
     inputs = SimpleNamespace(health=1, delta_velocity_mps=np.zeros(3), further_rate_radps=np.zeros((2, 3)))
     state = SimpleNamespace(
@@ -286,7 +286,10 @@ RELIEF = (
 @pytest.mark.slow  # four flights of a second
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
 def test_a_kick_in_flight_moves_the_computer_as_the_loop_says(plane: str) -> None:
-    """As tests/test_oracle_design_loop.py's, with all sensors in the law; in yaw the acceleration's sign turns."""
+    """With all sensors in the law, the loop predicts the commands as in tests/test_oracle_design_loop.py.
+
+    In yaw the sign of the acceleration changes.
+    """
     given, kick_deg = (*SENSORS, *RELIEF), 0.01
     window = f"start_s={NODE_S + 0.005:.3f}, stop_s={NODE_S + 0.015:.3f}"
     injection = f'[{{at="gimbal_command", axis="{plane}", kind="step", amplitude_deg={kick_deg}, {window}}}]'

@@ -1,4 +1,4 @@
-"""Modal motion at a separation: a beam of finite elements cut in two, the front part moving on by its equations."""
+"""Modal motion at a separation equals a finite-element beam cut in two whose front part continues to move."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Piece:
-    """A free beam: consistent mass and stiffness over (displacement, slope) of its nodes; all of its modes."""
+    """A free beam: consistent mass and stiffness over (displacement, slope) of its nodes, and all of its modes."""
 
     nodes_m: Array
     density_kgpm: Array
@@ -56,13 +56,13 @@ class Piece:
         return np.concatenate([[0.0], np.cumsum(self.density_kgpm * np.diff(self.nodes_m))])
 
     def modes(self) -> tuple[Array, Array]:
-        """Return the frequencies (rad/s) and shapes by columns, all that bend; the largest displacement is 1."""
+        """Return the frequencies (rad/s) and shapes by columns of all bending modes; the largest displacement is 1."""
         squares, shapes = eigh(self.stiffness, self.mass)
         shapes = shapes[:, 2:] / np.abs(shapes[0::2, 2:]).max(axis=0)
         return np.sqrt(squares[2:]), shapes
 
     def columns(self) -> dict[str, list[float]]:
-        """As a table of modes."""
+        """Return the piece as the columns of a mode table."""
         omega, shapes = self.modes()
         rows = [
             (0.0, k + 1, omega[k] / (2.0 * np.pi), shapes[:, k] @ self.mass @ shapes[:, k], x, phi, slope, forward)
@@ -76,7 +76,7 @@ class Piece:
 
 
 def piece(length_m: float) -> Piece:
-    """Return the front `length_m` of a beam whose weight and stiffness change along it."""
+    """Return the front `length_m` of a beam whose mass and stiffness vary along it."""
     h = LENGTH_M / ELEMENTS
     count = round(length_m / h)
     x = h * np.arange(count + 1)
@@ -124,7 +124,7 @@ ETA, XI = N_FIXED, N_FIXED + 2 * MODES
 
 
 def flight(bent: bool, rates_radps: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> dict[str, Array]:
-    """State vectors before and after the cut and a while later, of a flight that begins with modal motion or not."""
+    """Return the state vectors before, after and some time after the cut, of a flight with or without modal motion."""
     run = flown()
     y = run.packed.state
     y[W_BI_B : W_BI_B + 3] = rates_radps
@@ -144,7 +144,7 @@ def flight(bent: bool, rates_radps: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def turning(q: Array) -> Array:
-    """B to I."""
+    """Return the rotation matrix from B to I."""
     w, x, y, z = q
     return np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -164,9 +164,10 @@ def points(y: Array, beam: Piece) -> tuple[Array, Array]:
 
 
 def test_the_front_part_goes_on_where_it_was_and_as_fast() -> None:
-    """Every point's place and velocity before and after the cut, of a turning beam bent in both planes.
+    """Every point of a turning beam bent in both planes keeps place and velocity at the cut.
 
-    What its modes cannot hold is left over; it has no momentum, linear or angular. Masses are lumped at the nodes here.
+    The motion that its modes cannot represent is left over; it has no linear or angular momentum. Masses are lumped at
+    the nodes here.
     """
     y = flight(True, (0.5, 0.3, -0.2))
     n = len(FRONT.nodes_m)
@@ -185,8 +186,10 @@ def test_the_front_part_goes_on_where_it_was_and_as_fast() -> None:
 
 
 def test_the_front_part_moves_on_as_finite_elements_do() -> None:
-    """All of a beam's modes and its rigid motion, from the field that the composite's modes have at the cut, against
-    the simulator's flight, less a flight without modal motion."""
+    """All modes and the rigid motion of a beam, from the composite's field at the cut, equal the simulator's flight.
+
+    A flight without modal motion is subtracted.
+    """
     with_motion, without = flight(True), flight(False)
     n, wait_s = 2 * len(FRONT.nodes_m), LATER_S - CUT_S
     later, start = with_motion["later"], with_motion["before"]
@@ -234,7 +237,10 @@ def part(beam: Piece, table: ModeTable | SpatialModeTable | None = None, planar:
 
 
 def test_energy_is_lost_by_what_the_modes_cannot_hold_and_by_nothing_else() -> None:
-    """Pythagoras under the masses: kinetic energy of any motion before = that after + that of what is left over."""
+    """The energy lost is that of the motion that the modes cannot represent.
+
+    Pythagoras under the masses: kinetic energy of any motion before = that after + that of the remainder.
+    """
     transfer = modal_transfer(part(WHOLE), part(FRONT), 0.0, 0.0)
     shapes = FRONT.modes()[1]
     n, rng = 2 * len(FRONT.nodes_m), np.random.default_rng(5)
@@ -261,8 +267,10 @@ def test_spatial_modes_hand_on_what_planar_ones_do(before: bool, after: bool) ->
 
 
 def test_a_shaft_that_is_cut_turns_on_with_the_mean_of_its_twist() -> None:
-    """Torsion of a uniform shaft of length L, cos(pi x / L): its front part a turns by sin(pi a / L) / (pi a / L), and
-    mode cos(k pi x / a) takes the integral of both, in closed form."""
+    """In torsion cos(pi x / L) of a uniform shaft of length L, the front part a turns by sin(pi a / L) / (pi a / L).
+
+    Mode cos(k pi x / a) takes the integral of both, in closed form.
+    """
     x, a, length = np.linspace(0.0, 6.0, 241), 6.0, 10.0
 
     def shaft(end_m: float, modes: int) -> StageModes:
@@ -297,7 +305,7 @@ def test_a_front_part_without_modes_takes_the_rigid_motion_up_to_its_mass() -> N
 
 
 def test_shapes_that_the_next_stage_has_pass_over_whatever_the_masses() -> None:
-    """A motion that is rigid or a mode of the front part is handed on as that, with any masses; equal modes, too."""
+    """A motion that is rigid or a mode of the front part stays so, for any masses and for equal modes."""
     transfer = modal_transfer(part(FRONT), part(FRONT), 0.0, 0.0)
     assert transfer[RIGID:] == pytest.approx(np.eye(2 * MODES), abs=1e-9)
     assert transfer[:RIGID] == pytest.approx(np.zeros((RIGID, 2 * MODES)), abs=1e-9)

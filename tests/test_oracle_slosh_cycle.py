@@ -1,12 +1,12 @@
-"""Slosh limit cycles predicted by the linear loop and a baffle's law, against flights of the nonlinear simulator.
+"""Slosh limit cycles predicted by the linear loop and a baffle's law equal flights of the nonlinear simulator.
 
-| what | against |
+| quantity | against |
 |---|---|
-| Miles's damping of a ring baffle | the formula of SP-106 at a wave of its own |
+| Miles's damping of a ring baffle | the formula of SP-106 at a separate wave |
 | swing of the pendulum for a wave at the wall | equal moments of liquid and pendulum, integrated over the surface |
-| swing at which slosh ends, from below and from above | the predicted one: 5 % |
-| growth with half the damping that is needed | the linear loop's root: 2 % of the damping's worth |
-| without baffles | nothing else ends it: gimbal far from its limits while the liquid swings through a right angle |
+| final swing of the slosh, from below and from above | the predicted one: 5 % |
+| growth with half the required damping | the linear loop's root: 2 % of the effect of damping |
+| without baffles | unbounded: the gimbal is far from its limits while the liquid swings through a right angle |
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def advice(loaded: LoadedScenario, held):
 
 
 def _edge_hz(held, share: float) -> tuple[float, float]:
-    """Return the frequency (Hz) and growth (1/s) of the linear loop with a share of the damping that the tank has."""
+    """Return frequency (Hz) and growth (1/s) of the linear loop with a fraction of the tank's damping."""
     assert held.loaded.design is not None
     weak = disperse(held.node, Dispersion(slosh_damping=(1.0, share)))
     poles = maxq.loops([weak], held.loaded.design)[0].closed_poles()
@@ -70,7 +70,7 @@ def test_baffle_has_the_damping_of_its_formula() -> None:
 
 
 def test_pendulum_has_the_moment_of_the_wave() -> None:
-    """rho pi R^3 eta J2 ... by quadrature of the mode J1(xi r / R), against m L theta with SP-106's mass and length."""
+    """rho pi R^3 eta J2 ..., by quadrature of the mode J1(xi r / R), equals m L theta with SP-106's mass and length."""
     xi, depth = 1.84118, 0.8  # of the radius, which is 1, as are density and wave
     moment = math.pi * quad(lambda r: j1(xi * r) / j1(xi) * r * r, 0.0, 1.0)[0]
     mass = math.pi * 2.0 * math.tanh(xi * depth) / (xi * (xi * xi - 1.0))
@@ -90,7 +90,7 @@ def test_slosh_ends_at_the_predicted_swing(held, advice, level: float) -> None:
 
 @pytest.mark.slow
 def test_a_ring_twice_as_good_halves_the_root_of_the_swing(held, advice) -> None:
-    """The law enters where it should: damping goes with the root of the wave, so that the swing is a quarter."""
+    """Damping grows with the root of the wave, so with a ring twice as effective the swing is a quarter."""
     hz, _ = _edge_hz(held, advice.needed / advice.damping)
     twice = Baffle(MIDWAY.depth_r, MIDWAY.cover * 2.0 ** (2.0 / 3.0))
     assert fly_cycle(held, TANK, twice, hz).swing_deg == pytest.approx(0.25 * advice.midway_deg, rel=0.1)

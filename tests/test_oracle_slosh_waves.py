@@ -1,12 +1,12 @@
-"""Damping that grows with the wave, second modes and tanks by their shape, in flight.
+"""Damping that grows with the wave, second modes and tanks given by their shape agree with these references.
 
-| what | against |
+| quantity | against |
 |---|---|
 | decay of a swing with ring baffles, with a smooth wall | closed forms of the averaged oscillator, law of SP-106 |
-| the same in a circle | rings damp a conical swing by the ratio of the peak to the mean drag more |
+| the same in a circle | rings damp a conical swing more, by the ratio of peak to mean drag |
 | cylinder by its shape | KSR-III's tables, which are closed forms of SP-106 |
 | two modes, smooth walls, a sphere: linear model | linearised simulator, 1e-8 |
-| rings in small waves | nothing of first order |
+| rings in small waves | no first-order term |
 | breaking wave | first row of the log with such a wave; no influence on the flight |
 """
 
@@ -38,7 +38,7 @@ OMEGA = math.sqrt(GRAVITY_MPS2 / LENGTH_M)
 
 
 def swinging(start: tuple[float, float], **tank: Any) -> Rig:
-    """A pendulum on the pad, at rest at `start` (rad): its swing in the pitch plane, its speed in the yaw plane."""
+    """Return a pendulum on the pad, at `start` (rad): its swing in the pitch plane, its speed in the yaw plane."""
     parts = Parts(tanks=(Tank(400.0, LENGTH_M, 5.0),), engine=False)
     tree = scenario_of(
         parts,
@@ -70,7 +70,7 @@ def amplitudes(made: Rig, duration_s: float) -> tuple[float, float]:
 
 
 def test_ring_baffles_damp_a_plane_swing_by_their_law() -> None:
-    """zeta = k sqrt(A):  dA/dt = -omega k A^(3/2),  A = A0 / (1 + omega k sqrt(A0) t / 2)^2."""
+    """With zeta = k sqrt(A),  dA/dt = -omega k A^(3/2)  and  A = A0 / (1 + omega k sqrt(A0) t / 2)^2."""
     width, depth = 0.06, 0.1
     made = swinging((START, 0.0), baffles={"width_m": width, "station_m": [6.0 - 1.0 + depth, 4.5]})  # one is dry
     cover = 1.0 - (1.0 - width / RADIUS_M) ** 2
@@ -84,7 +84,7 @@ def test_ring_baffles_damp_a_plane_swing_by_their_law() -> None:
 
 
 def test_ring_baffles_damp_a_conical_swing_more() -> None:
-    """The drag of a steady circle is at its peak all the time: zeta is RING_DRAG = 1.0925 times that of a plane."""
+    """In a steady circle the drag is always at its peak: zeta is RING_DRAG = 1.0925 times that of a plane swing."""
     made = swinging((START, START), baffles={"width_m": 0.06, "station_m": [5.1]})
     cover = 1.0 - (1.0 - 0.06 / RADIUS_M) ** 2
     k = 2.83 * math.exp(-0.92) * cover**1.5 * math.sqrt(2.0 / (1.84118**2 - 1.0))
@@ -149,7 +149,7 @@ def flight() -> Flight:
 @pytest.mark.slow
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
 def test_linear_model_of_two_modes_and_smooth_walls(flight: Flight, plane: str) -> None:
-    """Four pendulums: a cylinder's two with the wall's damping, a sphere's two."""
+    """The model agrees for four pendulums: a cylinder's two with the wall's damping, and a sphere's two."""
     tanks = f"vehicle.stage.0.tank=[{cylinder(modes=2, viscosity_m2ps=1.9e-7, damping_ratio=0.004)}, {SPHERE}]"
     packed, condition = flat_earth(flight, 40, tanks)
     simulated = linearise(packed, packed.state, 40)
@@ -172,7 +172,7 @@ def test_linear_model_of_two_modes_and_smooth_walls(flight: Flight, plane: str) 
 
 
 def test_rings_do_nothing_in_small_waves() -> None:
-    """Their part of the derivative falls with the 3/2-th power of the swing's rate."""
+    """Their part of the derivative falls with the power 3/2 of the swing's rate."""
     plain, ringed = (
         swinging((0.0, 0.0), damping_ratio=0.0),
         swinging((0.0, 0.0), baffles={"width_m": 0.06, "station_m": [5.1]}),

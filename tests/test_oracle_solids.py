@@ -1,8 +1,8 @@
-"""Solid motors against closed forms and SciPy.
+"""Solid motors agree with closed forms and SciPy.
 
-| what | against |
+| quantity | against |
 |---|---|
-| mass, CG and inertia of a grain with a port, or that burns from its end | integrals over its volume |
+| mass, CG and inertia of a grain with a port, or of an end burner | integrals over its volume |
 | propellant spent by a table of thrust with specific impulse | the integral of their ratio |
 | speed, total impulse and burnout of hot, fast and strong motors | the integral of thrust over mass |
 | roll by the torque of the exhaust | its total impulse times an arm |
@@ -45,13 +45,13 @@ GANNET = Path(__file__).parent.parent / "scenarios" / "layouts" / "gannet.toml"
 
 
 def stack(number: int, *changes: str) -> Stack:
-    """Return a stage of the layout."""
+    """Return a stage of the layout, with changes."""
     return stacks(load_file(Layout, "layout", GANNET, changes)[0])[number]
 
 
 # --- the shipped launcher
 def test_the_shipped_launcher_has_the_masses_and_thrusts_of_its_parts() -> None:
-    """Parts, engines, grains and liquids are added by hand. The thrust is the impulse over the time of the burn."""
+    """Parts, engines, grains and liquids are summed by hand; the thrust is the impulse over the burn time."""
     # structure and engine, propellant that burns, impulse per g_0 and kg, duration
     motors = [
         (8200.0, 88000.0, 280.31, 108.0),
@@ -72,7 +72,7 @@ def test_the_shipped_launcher_has_the_masses_and_thrusts_of_its_parts() -> None:
 
 
 def test_the_ascent_across_a_thrust_table_has_a_derivative() -> None:
-    """The search for an orbit differentiates with steps of 1e-5. Wider steps give the same slope."""
+    """The orbit search differentiates with steps of 1e-5, and wider steps give the same slope."""
     read = read_layout(GANNET)
     whole = stacks(read)
     model = _Model(read, whole, [aerodynamics(each) for each in whole], kick_rad=0.15)
@@ -88,7 +88,7 @@ def test_the_ascent_across_a_thrust_table_has_a_derivative() -> None:
 # --- the grain
 @pytest.mark.parametrize("share", [0.0, 0.4, 0.97])
 def test_a_port_burns_outwards(share: float) -> None:
-    """The grain of 88 t has the radii 0.5 and 1.46 m. What remains is integrated over shells of the radius r."""
+    """The grain of 88 t has radii of 0.5 and 1.46 m; the remainder is integrated over shells of the radius r."""
     motor = stack(0)
     t = float(np.interp(share, [motor.burn.used(t) for t in np.linspace(0, 108, 4001)], np.linspace(0, 108, 4001)))
     (rod,), left = motor.grains(t), 1.0 - motor.burn.used(t)
@@ -134,7 +134,7 @@ def test_what_a_motor_cannot_be(change: str, message: str) -> None:
 
 
 def test_flow_is_thrust_over_specific_impulse() -> None:
-    """The flow integrates to the grain. Its rows are those of the layout, with PCHIP between them."""
+    """The flow integrates to the grain; its rows are those of the layout, with PCHIP between them."""
     motor = stack(0)
     table = motor.stage.engine.thrust
     assert table is not None
@@ -175,7 +175,7 @@ def motor_alone(**engine: Any) -> Tree:
 
 
 def integral(of: Any) -> float:
-    """Gauss-Legendre between the breaks, where the integrand is smooth."""
+    """Return the Gauss-Legendre integral between the breaks, where the integrand is smooth."""
     x, w = np.polynomial.legendre.leggauss(8)
     middle, half = 0.5 * (BREAKS[1:] + BREAKS[:-1]), 0.5 * np.diff(BREAKS)
     return float((half[:, None] * w * of(middle[:, None] + half[:, None] * x)).sum())
@@ -192,7 +192,9 @@ def integral(of: Any) -> float:
     ],
 )
 def test_a_faster_burn_keeps_the_total_impulse(engine: Tree, burn_rate: float, strength: float) -> None:
-    """dv = integral of F / m, in which the burn rate cancels; thrust and flow grow by it, and the burn gets shorter."""
+    """The integral of F / m is independent of the burn rate: thrust and flow grow in proportion, and the burn is
+    shorter.
+    """
     flight = fly(load(motor_alone(**engine)))
     assert flight["v_I_x_mps"][-1] == pytest.approx(strength * integral(lambda t: THRUST(t) / MASS(t)), rel=1e-9)
     assert flight["mass_kg"][-1] == pytest.approx(400.0, rel=1e-12)
@@ -205,7 +207,7 @@ def test_a_faster_burn_keeps_the_total_impulse(engine: Tree, burn_rate: float, s
 
 
 def test_roll_torque_of_the_exhaust() -> None:
-    """d(Ixx p)/dt = arm F: with the outflow on the axis, the propellant leaves with the rate of the body."""
+    """d(Ixx p)/dt = arm F: with the outflow on the axis, the propellant leaves at the body's rate."""
     flight = fly(load(motor_alone(roll_arm_m=3e-4)))
     spin = 3e-4 * integral(THRUST) / (0.1 * 400.0)
     assert flight["body_roll_rate_degps"][-1] == pytest.approx(math.degrees(spin), rel=1e-6)
@@ -223,7 +225,7 @@ def test_an_injected_share_of_thrust(share: float, begin: float, end: float) -> 
 
 
 def test_pressure_oscillation_drives_an_axial_mode() -> None:
-    """A chirp through the first axial mode of a rod: an undamped oscillator, integrated by SciPy."""
+    """A chirp through the first axial mode of a rod gives the motion of an undamped oscillator, integrated by SciPy."""
     length, kilograms, thrust, hz = 14.0, 4200.0, 1.0e5, 25.0
     stations = np.linspace(0.0, length, 57)
     shape = np.zeros((len(stations), 6))
@@ -256,7 +258,7 @@ def test_pressure_oscillation_drives_an_axial_mode() -> None:
 
 
 def test_a_flexible_bearing_holds_back_the_engine() -> None:
-    """An actuator at 2 deg: the engine settles at k / (k + k_b) of it, as its CG is at the gimbal."""
+    """With the actuator at 2 deg, the engine settles at k / (k + k_b) of it, because its CG is at the gimbal."""
     parts = Parts(engine_mass_kg=200.0, engine_cg_m=0.0, engine_inertia_kgm2=50.0)
     spring = {"stiffness_Nmprad": 4.0e5, "bearing_stiffness_Nmprad": 1.0e5, "damping_ratio": 0.5}
     made = rig(
@@ -271,9 +273,9 @@ def test_a_flexible_bearing_holds_back_the_engine() -> None:
 
 # --- tail-off
 def test_a_long_tail_off_names_the_end_of_the_authority() -> None:
-    """KSR-III with its centre of pressure ahead of the CG, and thrust that falls from 50 s on.
+    """The message names the end for KSR-III with its centre of pressure ahead of the CG and thrust falling from 50 s.
 
-    At the named time 5 deg of angle of attack take less than the gimbal's limit, and 0.15 s later more.
+    At the named time, 5 deg of angle of attack need less than the gimbal's limit, and 0.15 s later more.
     """
     table = "{time_s=[0.0,0.5,50.0,54.0,58.0],thrust_vacuum_N=[0.0,1.4e5,1.4e5,7e4,0.0]}"
     changes = [f"vehicle.stage.0.engine.table={table}", "vehicle.stage.0.aero.centre_shift_m=-2.75"]
@@ -300,9 +302,9 @@ def test_a_long_tail_off_names_the_end_of_the_authority() -> None:
 
 @pytest.mark.parametrize(("limit_deg", "lost_by"), [(4.0, "drag"), (3.0, "trim")])
 def test_operating_points_in_a_tail_off_end_with_the_authority(limit_deg: float, lost_by: str) -> None:
-    """The same tail-off: the thrust falls by equal factors from half of the largest to a tenth, linearly in time.
+    """In the same tail-off, thrust falls by equal factors from half to a tenth of the largest, linearly in time.
 
-    The operating points end where drag exceeds the thrust, or where 5 deg of angle of attack take more than the limit.
+    The operating points end where drag exceeds the thrust, or where 5 deg of angle of attack need more than the limit.
     """
     table = "{time_s=[0.0,0.5,50.0,54.0,58.0],thrust_vacuum_N=[0.0,1.4e5,1.4e5,7e4,0.0]}"
     changes = [f"vehicle.stage.0.engine.table={table}", "vehicle.stage.0.aero.centre_shift_m=-2.75"]
@@ -340,7 +342,7 @@ three_sigma = 30.0
 
 
 def test_the_sweep_of_a_loop_draws_the_temperatures_of_the_campaign(tmp_path: Path) -> None:
-    """Run N of the campaign and vehicle N of the sweep have the same thrust, in the packed record."""
+    """Run N of the campaign and vehicle N of the sweep have the same thrust in the packed record."""
     path = tmp_path / "warm.toml"
     path.write_text(WARM)
     campaign = maxq.load(path)

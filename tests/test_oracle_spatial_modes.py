@@ -1,6 +1,6 @@
-"""Coupled three-dimensional modes.
+"""Coupled three-dimensional modes agree with these references.
 
-| what | against |
+| case | against |
 |---|---|
 | pairs of planar modes written as spatial modes | the planar modes, at random states and in flight |
 | the same with both planes turned about x | the same motion |
@@ -74,7 +74,7 @@ SHAPES = ("phi_x", "phi_y", "phi_z", "theta_x_pm", "theta_y_pm", "theta_z_pm")
 def spatial_section(
     stations_m: Array, forward_kg: Array, modes: list[tuple[float, float, float, Array]], **more: Any
 ) -> Tree:
-    """Section `spatial_modes`: frequency (Hz), generalised mass, damping ratio and shapes (S, 6) of each mode."""
+    """Return the section `spatial_modes`: frequency (Hz), generalised mass, damping and shapes (S, 6) per mode."""
     rows = [
         {
             "time_s": 0.0,
@@ -106,7 +106,7 @@ def as_spatial(parts: Parts, angle: float = 0.0) -> tuple[Tree, Parts]:
 
 
 def turning(n: int, angle: float) -> Array:
-    """(2n, 2n): coordinates of the turned pairs, pair by pair, from (eta, xi) of the planes."""
+    """Return the matrix (2n, 2n) from (eta, xi) of the planes to coordinates of the turned pairs, pair by pair."""
     out = np.zeros((2 * n, 2 * n))
     for k in range(n):
         out[2 * k, [k, n + k]] = np.cos(angle), np.sin(angle)
@@ -115,7 +115,7 @@ def turning(n: int, angle: float) -> Array:
 
 
 def spatial_state(made: Rig, planar: Rig, y: Array, angle: float) -> Array:
-    """Return the state of the vehicle with planar modes as that of the one with turned spatial modes."""
+    """Return the state of the vehicle with planar modes as a state with turned spatial modes."""
     n, first = int(planar.sizes.pitch_modes), int(layout.eta_index(planar.sizes))
     turn = turning(n, angle)
     eta, nu, xi, nu_yaw = y[first : first + 4 * n].reshape(4, n)
@@ -183,7 +183,7 @@ ROD_STATIONS = np.linspace(0.0, LENGTH_M, 57)
 
 
 def rod(component: int, yaw_rad: float = 0.0, stage: Tree | None = None, **engine: Any) -> Rig:
-    """12 modes cos(n pi x / L) of a uniform free-free rod: axial (component 0) or of torsion (3)."""
+    """Return 12 modes cos(n pi x / L) of a uniform free-free rod: axial (component 0) or torsional (3)."""
     modes = []
     for n in range(1, 13):
         shape = np.zeros((len(ROD_STATIONS), 6))
@@ -209,7 +209,7 @@ def rod(component: int, yaw_rad: float = 0.0, stage: Tree | None = None, **engin
 
 
 def wave(time_s: float, impedance: float, strength: float) -> tuple[float, float]:
-    """Return the displacement of the end on which a step acts, and of the far end, before the echo of the echo."""
+    """Return the displacement of the end with the step and of the far end, until the second echo."""
     travel = LENGTH_M / SPEED_MPS
     rate = strength / impedance
     return rate * (time_s + 2 * max(time_s - 2 * travel, 0.0)), 2 * rate * max(time_s - travel, 0.0)
@@ -230,7 +230,7 @@ def test_a_thrust_step_travels_as_an_axial_wave(share: float) -> None:
 
 @pytest.mark.parametrize("share", [0.5, 1.3, 1.8, 2.5])
 def test_a_torque_step_travels_as_a_torsion_wave(share: float) -> None:
-    """The thrust axis is off the body axis and inclined: its torque acts at the gimbal; the gyro is at the nose."""
+    """The thrust axis is off the body axis and inclined, its torque acts at the gimbal, and the gyro is at the nose."""
     offset, yaw = 0.5, 0.1
     made, time_s = rod(3, yaw, thrust_N=1.0e5, gimbal_offset_m=(0.0, offset)), share * LENGTH_M / SPEED_MPS
     y = flown(made, round(time_s, 4))[-1]
@@ -241,7 +241,7 @@ def test_a_torque_step_travels_as_a_torsion_wave(share: float) -> None:
 
 
 def _truncated(strength: float, inertia: float) -> float:
-    """Return the sum of what the modes from the thirteenth on could add: 2 F / (m w^2) (1 - cos) each."""
+    """Return the sum of the possible contributions of modes from the thirteenth on: 2 F / (m w^2) (1 - cos) each."""
     omega = np.pi * SPEED_MPS / LENGTH_M * np.arange(13, 20000)
     return float((2.0 * strength / inertia / omega**2 * 2.0).sum())
 
@@ -255,7 +255,7 @@ def sections(made: Rig, y: Array) -> Array:
 
 @pytest.mark.parametrize("angle_deg", [0.0, 30.0])
 def test_pairs_written_as_spatial_modes_have_the_same_section_loads(angle_deg: float) -> None:
-    """Bent, rolling, with liquid and air; those of planar modes are held to finite elements elsewhere."""
+    """The loads agree while bent and rolling, with liquid and air; planar modes are checked by finite elements."""
     liquid = [
         {
             "tank": str(k + 1),
@@ -289,7 +289,7 @@ ROD_LOADS = {
 
 
 def test_axial_force_of_a_rod_that_vibrates_and_of_one_that_is_pushed() -> None:
-    """Free vibration: EA u' in closed form; of a push: partial sums of the series of N = 0."""
+    """In free vibration the force is EA u' in closed form; after a push, partial sums of the series of N = 0."""
     made = rod(0, stage={"loads": ROD_LOADS}, thrust_N=1.0e5)
     i, n, s = int(layout.spatial_index(made.sizes)), np.arange(1, 13), np.pi * CUTS_M / LENGTH_M
     pushed = -1.0e5 * (CUTS_M / LENGTH_M + np.sin(np.outer(s, n)) @ (2.0 * (-1.0) ** n / (np.pi * n)))
@@ -306,7 +306,7 @@ def test_axial_force_of_a_rod_that_vibrates_and_of_one_that_is_pushed() -> None:
 
 
 def test_section_loads_of_coupled_modes_are_those_of_particles() -> None:
-    """Compare the section loads with Newton's law for the particles forward of each station.
+    """Section loads of coupled modes equal Newton's law for the particles forward of each station.
 
     The vehicle rolls, its thrust is off the axis, and six modes move along all axes at once.
     """
@@ -363,7 +363,7 @@ def test_section_loads_of_coupled_modes_are_those_of_particles() -> None:
 def particles(rng: np.random.Generator) -> tuple[Array, Array, Array]:
     """Return the masses (N,), places x of B (N,) and four lateral shapes (4, N, 3), orthogonal to 1, x and each other.
 
-    Two pairs whose planes are mixed: with the turned ones they are a closed set, of unlike frequencies.
+    They are two pairs with mixed planes and unlike frequencies; with the turned ones they are a closed set.
     """
     mass, x = rng.uniform(50.0, 300.0, 15), np.linspace(7.0, -7.0, 15)
     x = x - mass @ x / mass.sum()
@@ -380,7 +380,7 @@ def particles(rng: np.random.Generator) -> tuple[Array, Array, Array]:
 
 
 def test_lateral_modes_of_unlike_planes_move_as_particles_do() -> None:
-    """Straight at that instant, with any rates: there the energy that (3.1) drops has no part in the equations."""
+    """At an instant with straight modes and any rates, the energy omitted by (3.1) has no effect on the equations."""
     rng = np.random.default_rng(11)
     mass, x, shapes = particles(rng)
     omega, rotor = np.array([20.0, 26.0, 35.0, 50.0]), np.diag([900.0, 0.0, 0.0])
@@ -421,7 +421,7 @@ def test_lateral_modes_of_unlike_planes_move_as_particles_do() -> None:
 
 # --- conservation
 def coupled(rng: np.random.Generator) -> list[tuple[float, float, float, Array]]:
-    """Return five modes without symmetry: all six components of each differ from zero."""
+    """Return five asymmetric modes, each with six nonzero components."""
     x = np.array(STATIONS) / 14.0
     modes = []
     for n in range(5):
@@ -457,7 +457,7 @@ def constants(y: Array, made: Rig, modes: list[tuple[float, float, float, Array]
 
 
 def test_coupled_modes_conserve_energy_and_momenta() -> None:
-    """Tumbling at 1 rad/s with bobs at large angles; the drift falls with the method's order."""
+    """At 1 rad/s of tumbling with bobs at large angles, the drift falls with the method's order."""
     rng = np.random.default_rng(17)
     modes = coupled(rng)
     tanks = tuple(replace(t, damping_ratio=0.0) for t in PARTS.tanks)
@@ -495,7 +495,7 @@ def test_coupled_modes_conserve_energy_and_momenta() -> None:
 
 # --- the linear model
 def ascending(section: Tree, rest: Parts, **stage: Any) -> tuple[Packed, FlightCondition]:
-    """With spatial modes at zero angle of attack, the CG on the axis."""
+    """Return a vehicle with spatial modes at zero angle of attack, with the CG on the axis."""
     straight = replace(
         rest,
         core_cg=(7.0, 0.0, 0.0),
@@ -522,7 +522,7 @@ def ascending(section: Tree, rest: Parts, **stage: Any) -> tuple[Packed, FlightC
 
 @pytest.mark.parametrize("stage", [{}, ON_LOAD], ids=["locked", "swinging"])
 def test_linear_model_of_both_planes_is_the_linearised_simulator(stage: Tree) -> None:
-    """Modes that bend in both planes at once and twist, of unlike frequencies: all axes in one state space."""
+    """Modes that bend in both planes and twist, of unlike frequencies, agree with all axes in one state space."""
     angle = np.radians(30.0)
     section, rest = as_spatial(
         replace(PARTS, yaw=tuple(replace(m, frequency_hz=1.2 * m.frequency_hz) for m in MODES)), angle
@@ -570,7 +570,7 @@ def test_linear_model_of_both_planes_is_the_linearised_simulator(stage: Tree) ->
 
 @pytest.mark.parametrize("trim_deg", [(4.0, 2.0), (-3.0, 7.0)])
 def test_modes_of_both_planes_in_incidence_feel_each_others_flow(trim_deg: tuple[float, float]) -> None:
-    """Tables without symmetry: Fy by w and Fz by v, on a body and on modes that bend both planes. Roll is trimmed."""
+    """With asymmetric tables, Fy by w and Fz by v act on body and modes of both planes; roll is trimmed."""
     alpha, beta = np.radians(trim_deg)
     section, rest = as_spatial(
         replace(PARTS, yaw=tuple(replace(m, frequency_hz=1.2 * m.frequency_hz) for m in MODES)), np.radians(30.0)
@@ -620,7 +620,7 @@ def both_planes(theirs, modes: int, loaded: bool = False) -> Array:
 
 
 def stiff(factor: float, along: Callable[[int, float], float]) -> tuple[Tree, Parts]:
-    """The pairs, `factor` times as stiff and of unlike frequencies, that move by `along` (of mode, station) along x."""
+    """Return the pairs, `factor` times as stiff and unlike, with motion `along` (of mode, station) along x."""
     pitch = tuple(replace(m, frequency_hz=factor * m.frequency_hz) for m in MODES)
     yaw = tuple(replace(m, frequency_hz=1.2 * m.frequency_hz) for m in pitch)
     section, rest = as_spatial(replace(PARTS, pitch=pitch, yaw=yaw))
@@ -639,7 +639,7 @@ def plant_and_simulator(section: Tree, rest: Parts, **stage: Any) -> tuple[Array
 
 @pytest.mark.parametrize("stage", [{}, ON_LOAD], ids=["locked", "swinging"])
 def test_linear_model_with_axial_modes_is_the_linearised_simulator(stage: Tree) -> None:
-    """Thrust shortens the vehicle by 8 mm: stations move; the liquid rides along. Every coefficient."""
+    """Thrust shortens the vehicle by 8 mm, stations move and liquid moves with its tank; every coefficient agrees."""
     section, rest = stiff(10.0, lambda mode, station: 0.0)
     for j in (1, 2):
         for row in [row for row in section["table"] if row["mode"] == 1]:
@@ -662,7 +662,7 @@ def test_linear_model_with_axial_modes_is_the_linearised_simulator(stage: Tree) 
 def test_modes_that_move_along_and_across_at_once_are_exact_in_the_first_order(
     factor: float, stage: Tree, bound: float
 ) -> None:
-    """Thrust then bends the axis as well. What is left out goes with the square of that deflection: 25 times of it."""
+    """Thrust also bends the axis; the omitted terms grow with the square of that deflection."""
     section, rest = stiff(factor, lambda mode, station: 0.35 * mode * np.cos(station / 3.0 + mode))
     ours, theirs = plant_and_simulator(section, rest, **stage)
     apart = (np.abs(ours - theirs) / np.abs(theirs).max(axis=1, keepdims=True)).max()
@@ -670,7 +670,7 @@ def test_modes_that_move_along_and_across_at_once_are_exact_in_the_first_order(
 
 
 def test_a_plane_of_the_coupled_plant_holds_the_other() -> None:
-    """Planar pairs written as spatial modes in their own planes: the loop's plant is that of the planar vehicle."""
+    """With planar pairs as spatial modes in their planes, the plant of a loop is that of the planar vehicle."""
     section, rest = as_spatial(PARTS)
     start = {"initial": {"ned_mps": [200.0, 0.0, 0.0]}, "earth": {"gravity": "uniform"}}
     made = []
@@ -693,7 +693,7 @@ def test_a_plane_of_the_coupled_plant_holds_the_other() -> None:
 
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
 def test_bending_moments_of_spatial_modes_are_those_of_planar_ones(plane: str) -> None:
-    """Planar pairs written as spatial modes, 30 deg turned: every moment by command and by wind, at six stations."""
+    """With planar pairs as spatial modes turned by 30 deg, each moment by command and wind agrees at six stations."""
     section, rest = as_spatial(PARTS, np.radians(30.0))
     start = {"initial": {"ned_mps": [200.0, 0.0, 0.0]}, "earth": {"gravity": "uniform"}}
     made = []
@@ -713,9 +713,7 @@ def test_bending_moments_of_spatial_modes_are_those_of_planar_ones(plane: str) -
 
 @pytest.mark.parametrize("plane", ["pitch", "yaw"])
 def test_air_that_moves_with_the_vehicle_does_nothing(plane: str) -> None:
-    """Turned pairs, which couple the planes, under tables over angle of attack: the wind's column is that of w,
-    reversed.
-    """
+    """For turned pairs, which couple the planes, with tables, the wind's column is minus that of w."""
     section, rest = as_spatial(PARTS, np.radians(30.0))
     start = {"initial": {"ned_mps": [200.0, 20.0, -15.0]}, "earth": {"gravity": "uniform"}}
     tree = with_stage(merged(scenario_of(rest, **AIR), start), aero=AERO | TABLES, spatial_modes=section)
@@ -729,7 +727,7 @@ def test_air_that_moves_with_the_vehicle_does_nothing(plane: str) -> None:
 
 
 def test_the_replay_bends_the_same() -> None:
-    """Pairs turned by 30 deg and written as spatial modes draw the line that the planar modes draw."""
+    """The replay draws planar pairs written as spatial modes turned by 30 deg along the line of the planar modes."""
     angle = np.radians(30.0)
     section, rest = as_spatial(PARTS, angle)
     planar, spatial = (

@@ -1,4 +1,4 @@
-"""Every stage of a vehicle of several (petrel): nodes chosen from the flight, loops, held flights."""
+"""Every stage of petrel has operating points from its flight, loops and held flights."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def spans() -> tuple[Span, ...]:
 
 @pytest.mark.slow
 def test_spans_and_nodes_lie_under_full_thrust_of_every_stage(spans: tuple[Span, ...]) -> None:
-    """By the thrust tables themselves, on each stage's clock."""
+    """Spans and operating points are under full thrust of every stage, by the thrust tables on each stage's clock."""
     stages = petrel.scenario().vehicle.stage
     burns = stage_burns(stages, petrel.scenario().scenario.fault)
     assert [span.stage for span in spans] == list(range(len(stages)))
@@ -82,7 +82,7 @@ def test_nodes_in_the_coast_are_refused_with_the_times_under_thrust(spans: tuple
 
 
 def test_held_flight_of_a_later_stage_is_that_stage_frozen(spans: tuple[Span, ...]) -> None:
-    """Mass and CG against the stage's table; the loop is the flown one but for gravity (slowest root)."""
+    """Mass and CG are those of the stage's table; the loop equals the flown one except for gravity (slowest root)."""
     time_s = round(0.4 * spans[1].begin_s + 0.6 * spans[1].end_s, 3)
     (node,) = petrel.nodes(time_s)
     assert node.stage == 1
@@ -102,7 +102,7 @@ def test_held_flight_of_a_later_stage_is_that_stage_frozen(spans: tuple[Span, ..
 
 @pytest.mark.slow
 def test_loops_in_thin_air_are_stable_by_encirclements_as_by_poles(spans: tuple[Span, ...]) -> None:
-    """There path and attitude have open-loop roots of hours, and curves that began amid them counted wrongly."""
+    """In thin air, path and attitude have open-loop roots of hours; curves that began among them counted wrongly."""
     last = spans[-1]
     nodes = petrel.nodes(*(round(last.begin_s + x * (last.end_s - last.begin_s), 3) for x in (0.05, 0.35, 0.65, 0.95)))
     assert nodes[1].condition.dynamic_pressure_Pa < 1.0
@@ -117,7 +117,7 @@ def test_loops_in_thin_air_are_stable_by_encirclements_as_by_poles(spans: tuple[
 
 @pytest.mark.slow
 def test_certificate_of_a_later_stage_agrees(spans: tuple[Span, ...]) -> None:
-    """Gain margin of the second stage in the nonlinear simulator: where the linear loop has it."""
+    """The gain margin of the second stage in the nonlinear simulator equals the linear loop's."""
     (node,) = petrel.nodes(round(0.5 * (spans[1].begin_s + spans[1].end_s), 3))
     found = certify_node(petrel.scenario(), node, bands=(), names=("gain_up",))
     assert found.stable
@@ -127,7 +127,7 @@ def test_certificate_of_a_later_stage_agrees(spans: tuple[Span, ...]) -> None:
 
 @pytest.mark.slow
 def test_a_sine_of_a_hundredth_of_a_hertz_neither_grows_nor_decays_on_its_boundary() -> None:
-    """In thin air, under the gimbal output's dither, whose tones must leave less at 0.014 Hz than the burst does."""
+    """In thin air, under the dither of the gimbal output, the tones contribute less than the burst at 0.014 Hz."""
     (node,) = petrel.nodes(125.6)
     held, design = hold(petrel.scenario(), node), petrel.scenario().design
     assert design is not None
@@ -205,7 +205,7 @@ def test_a_design_of_one_stage_leaves_the_others_as_they_were(case) -> None:
 def test_orders_of_several_stages(
     case, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Design each stage alone, and all of them together; the report shows the gains of each stage."""
+    """Each stage is designed alone and all together; the report shows the gains of each stage."""
     monkeypatch.setattr(run_case, "STRUCTURES", ("F2",))
     words = [str(petrel.folder() / "two-nodes.toml"), "--orders", "--no-pictures", "--out", str(tmp_path)]
     assert simdesign.main([*words, "--set", "stages=[2,3]", "--set", "stage=[]"]) == 0
@@ -226,7 +226,7 @@ def test_orders_of_several_stages(
 
 
 def test_a_suite_finds_its_scenario_beside_itself() -> None:
-    """Also from another working folder; what does not lie there is looked for as ever."""
+    """The scenario next to the suite is found from another folder; other names are looked up as usual."""
     suite = read_suite(petrel.folder() / "suite.toml").suite
     assert load_scenario(suite.scenario).vehicle.name == "petrel"
     assert read_suite("standard").suite.scenario == "nominal"
@@ -238,7 +238,7 @@ def test_a_suite_finds_its_scenario_beside_itself() -> None:
     [*(pytest.param(*at, marks=pytest.mark.long) for at in ((40.0, 0.04), (126.0, 0.004))), (240.0, 0.0)],
 )
 def test_gain_that_slow_roots_need_is_found_in_flight(time_s: float, slowest_hz: float) -> None:
-    """A fast unstable body in dense air, a slow oscillation in thin air, a drift in none.
+    """The gain is found for a fast unstable body in dense air, a slow oscillation in thin air, a drift in none.
 
     With the centre of pressure a tenth of the CG station farther forward in flight, the first is not the loop's.
     """
@@ -263,7 +263,7 @@ def test_gain_that_slow_roots_need_is_found_in_flight(time_s: float, slowest_hz:
 
 @pytest.mark.long
 def test_a_mode_that_aliases_is_held_with_a_finer_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Late in the burn mode 4 (79 Hz) shows at 21 Hz; the integrator's detuning, (w h)^4 / 120, is to be seen there."""
+    """Late in the burn, mode 4 (79 Hz) appears at 21 Hz, where the integrator's detuning, (w h)^4 / 120, is visible."""
     (node,) = petrel.nodes(118.0)
     modes = node.vehicle
     highest, zeta = float(modes.omega_radps.max()), float(modes.damping_ratio.min())
@@ -294,9 +294,9 @@ def test_a_mode_that_aliases_is_held_with_a_finer_step(monkeypatch: pytest.Monke
     ],
 )
 def test_a_node_is_met_with_its_propellant(stage: int, changes: list[str]) -> None:
-    """A throttled stage whose engines burn unlike, and one that burns slower: the whole mass is that of the node.
+    """For unlike engines under throttle and for a slow burn, the mass is that of the operating point.
 
-    To the step of the flight, on which nodes lie, at a mass flow of under 1 % of the mass a second.
+    The tolerance is one step of the flight, with a mass flow of under 1 % of the mass per second.
     """
     base = petrel.scenario()
     time_s = (60.0, 150.0)[stage]

@@ -1,4 +1,4 @@
-"""Staging in the simulator: separation, mass that drops, laws and computers of stages, orbits; closed forms."""
+"""Separation, dropped mass, laws and computers of stages, and orbits agree with closed forms."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def at(loaded: LoadedScenario, time_s: float) -> np.ndarray:
 
 
 def test_springs_and_impulse_share_energy_and_momentum() -> None:
-    """m_1 v_1 = m_2 v_2 and m_1 v_1^2 / 2 + m_2 v_2^2 / 2 = E, forward along the body; tip-off rates are added."""
+    """Momentum m_1 v_1 = m_2 v_2 and energy m_1 v_1^2 / 2 + m_2 v_2^2 / 2 = E hold, and tip-off rates are added."""
     energy, impulse, tip = 5000.0, 300.0, (0.5, -1.0, 2.0)
     key = "vehicle.stage.0.separation"
     plain = load_scenario(TWO)
@@ -50,7 +50,7 @@ def test_springs_and_impulse_share_energy_and_momentum() -> None:
 
 
 def test_what_stays_is_where_it_was_and_moves_as_it_did() -> None:
-    """The nose of the upper stage, over the millisecond of the separation: no jump though the CG jumps by 1.9 m."""
+    """Over the millisecond of the separation, the upper stage's nose does not jump, although the CG moves by 1.9 m."""
     run = FlightRun(load_scenario(TWO), log=False)
     run.fly_segment(45_000_000_000)
     run.packed.state[W_BI_B : W_BI_B + 3] = 0.1, -0.5, 0.4
@@ -70,7 +70,7 @@ def test_what_stays_is_where_it_was_and_moves_as_it_did() -> None:
 
 
 def test_thrust_ends_at_burn_out_and_begins_again_at_ignition() -> None:
-    """Burnout at 40 s, separation at 45 s, ignition 3 s later, not before."""
+    """Burnout is at 40 s, separation at 45 s, and ignition exactly 3 s later."""
     flight = fly(load_scenario(TWO, ["run.duration_s=49.0"]))
     t, thrust_N = flight.time_s("thrust_N"), flight["thrust_N"]
     off = (t > 40.0) & (t < 48.0)
@@ -172,7 +172,10 @@ def split(pieces: tuple[float, ...], continues: bool = True) -> Flight:
 
 
 def test_a_vehicle_cut_into_stages_that_continue_flies_as_if_it_were_not() -> None:
-    """Engine, bob and mode keep their state; nothing drops, so nothing may change. Starting at rest instead shows."""
+    """Engine, bob and mode keep their states, and nothing drops, so the flight is unchanged.
+
+    A start at rest gives a different flight.
+    """
     whole, cut, at_rest = split(()), split((7.0, 12.3)), split((7.0, 12.3), continues=False)
     assert cut.state[:13] == pytest.approx(whole.state[:13], rel=1e-9, abs=1e-9)
     for channel in ("gimbal_pitch_angle_deg", "pitch_deg"):
@@ -186,7 +189,7 @@ LAW = "design.stage=[{},{filter={structure='none'},gains={table=[{time_s=0.0,k_p
 
 @pytest.fixture(scope="module")
 def upper() -> float:
-    """When petrel's second stage burns."""
+    """Return a time at which petrel's second stage burns."""
     return next(
         e.time_s
         for e in fly(petrel.scenario("run.duration_s=140.0"), log=False).events
@@ -196,7 +199,7 @@ def upper() -> float:
 
 @pytest.mark.slow
 def test_a_stage_flies_its_own_law_and_its_own_computer(upper: float) -> None:
-    """Gains and filter of the second stage by the log; its sample period and limit; no angle is lost at the change."""
+    """Gains, filter, sample period and limit of the second stage are as logged; no angle is lost at the change."""
     until = [f"run.duration_s={math.ceil(upper) + 8.0}", "log.fast_hz=100.0", "log.slow_hz=10.0"]
     own = fly(petrel.scenario(*until, LAW, "vehicle.stage.1.computer={sample_s=0.02,command_limit_deg=0.05}"))
     plain = fly(petrel.scenario(*until))
@@ -265,7 +268,7 @@ MU, RADIUS = 3.986004418e14, 6378137.0
 def test_orbital_elements_are_those_that_an_orbit_was_made_of(
     a: float, e: float, i: float, node: float, perigee: float, anomaly: float
 ) -> None:
-    """Position and velocity by rotations of the orbit's plane; perigee and apogee by integrating the motion, too."""
+    """Position and velocity come from rotations of the orbit plane; perigee and apogee also from integration."""
 
     def turn(axis: int, degrees: float) -> np.ndarray:
         c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))

@@ -1,4 +1,4 @@
-"""Actuators that stall under the torque of their engine, against the valve's orifice law integrated by SciPy.
+"""Actuators stall under the torque of their engine as in SciPy's integration of the valve's orifice law.
 
 The vehicle is so heavy that the engine's gimbal is fixed in space. The torque of a flexible bearing resists the
 actuators: v = r sqrt(1 - M / M_s) against it, so that the stroke to the stall takes 2 d_s / r.
@@ -24,7 +24,7 @@ DURATION_s = 0.6
 
 
 def engines(count: int, stall_Nm: tuple[float, float] = STALL_Nm, heavier_kg: float = 0.0) -> Rig:
-    """A single engine, or two of one group with half its inertia and stiffness, of which the second may be heavier."""
+    """Return one engine, or two of a group with half its inertia and stiffness; the second may be heavier."""
     tree = scenario_of(Parts(core_mass_kg=9e7, core_inertia=tuple(map(tuple, 1e11 * np.eye(3)))))
     stage: Tree = tree["vehicle"]["stage"][0]
     share = 1.0 / count
@@ -61,7 +61,7 @@ def engines(count: int, stall_Nm: tuple[float, float] = STALL_Nm, heavier_kg: fl
 def by_scipy(stall_Nm: float, start: float) -> Array:
     """Return the angle and rate of actuator and engine (4, samples) every 0.1 s, from rest at `start` (rad).
 
-    The command comes 3 ms after the first sample of 10 ms.
+    The command takes effect 3 ms after the first sample of 10 ms.
     """
     w, limit = 2.0 * math.pi * HZ, math.radians(RATE_degps)
     damper = 2.0 * DAMPING * math.sqrt(LINK_Nmprad * INERTIA_kgm2)
@@ -109,7 +109,7 @@ def test_below_the_stall_torque_the_command_is_reached() -> None:
 
 
 def test_an_actuator_pushed_along_moves_faster_than_its_limit() -> None:
-    """With the torque of the stall the servo's rate command is -r sqrt 2, and with a floating engine -r."""
+    """With the stall torque along the motion, the servo's rate command is -r sqrt 2 (floating engine: -r)."""
     made, w = engines(1), 2.0 * math.pi * HZ
     loads = int(layout.tvc_load_index(made.sizes))
     made.held.command_rad[0] = math.radians(-40.0)
@@ -123,7 +123,7 @@ def test_an_actuator_pushed_along_moves_faster_than_its_limit() -> None:
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_unlike_engines_resist_their_common_actuators_together(axis: int) -> None:
-    """Two loads of one group, whose springs are stretched by 0.3 and 0.5 of the torque at which one stalls."""
+    """Two loads of one group resist with springs stretched by 0.3 and 0.5 of the torque at which one stalls."""
     made, w = engines(2, heavier_kg=10.0), 2.0 * math.pi * HZ
     assert int(made.sizes.tvc_loads) == 2
     made.held.command_rad[axis] = math.radians(40.0)

@@ -1,7 +1,7 @@
-"""Tables joined by cubics against SciPy's interpolators, from which they take the formulas but not the import.
+"""Tables with cubics equal SciPy's interpolators, whose formulas they use without importing them.
 
-Coefficients are equal to the bit: both are NumPy's arithmetic in the same order. Values come from compiled loops
-in SciPy, which may fuse a multiplication and an addition: four roundings of the largest term.
+Coefficients are equal to the bit, because both are NumPy's arithmetic in the same order. Values come from compiled
+loops in SciPy, which may fuse a multiplication and an addition: four roundings of the largest term.
 """
 
 from __future__ import annotations

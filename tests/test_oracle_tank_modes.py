@@ -1,10 +1,10 @@
-"""Slosh modes of tanks from their shape, against closed forms, published numbers and another way of solving.
+"""Slosh modes of tanks from their shape equal closed forms, published numbers and a second method.
 
-| what | against |
+| case | against |
 |---|---|
 | upright cylinder: length, mass, bob, wave, damping of the wall; two modes, four depths | closed forms of NASA SP-106 |
 | sphere: eigenvalues of the half-full one | 1.56016, 5.27555, 8.50444 (McIver, J. Fluid Mech. 201, 1989) |
-| hemisphere by its own expansion in solid harmonics, least squares on the wall | eigenvalue and mass |
+| hemisphere by an expansion in solid harmonics, least squares on the wall | eigenvalue and mass |
 | sphere: hinge | its centre, at every depth and of every mode: pressure on a sphere has no moment about it |
 | nearly empty bowl, nearly full sphere | kappa a = 1, all liquid sloshes; kappa r = 2.7547, the ice-fishing problem |
 | all shapes, all depths | sloshing mass within the liquid, zero when empty and full |
@@ -38,7 +38,7 @@ def test_cylinder_has_its_closed_forms(depth: float) -> None:
 
 
 def test_damping_of_the_wall_of_a_deep_cylinder() -> None:
-    """Case & Parkinson's laminar layer, and the measured 0.79 sqrt(nu / sqrt(a R^3))."""
+    """The damping is that of Case & Parkinson's laminar layer, and the measured 0.79 sqrt(nu / sqrt(a R^3))."""
     mode, radius, nu, load = slosh_modes(Profile(0.0, 9.0, 0.0), 4.0, 1)[0], 0.7, 2e-6, 15.0
     assert mode.wall_loss == pytest.approx((XI[0] ** 2 + 1.0) / (XI[0] ** 2 - 1.0), rel=1e-3)
     zeta = mode.viscous(radius, nu) * load**-0.25
@@ -54,9 +54,9 @@ def test_half_full_sphere_has_the_published_eigenvalues() -> None:
 
 
 def test_hemisphere_by_solid_harmonics() -> None:
-    """rho^n P_n^1 cos(theta) fulfil Laplace's equation term by term; wall and surface are left to least squares.
+    """Each rho^n P_n^1 cos(theta) satisfies Laplace's equation; least squares fit the wall and the surface.
 
-    The eigenvalue is where the smallest singular value of both conditions together has its minimum.
+    The eigenvalue minimises the smallest singular value of both conditions together.
     """
     terms = np.arange(1, 31)
     polar = np.linspace(0.5 * math.pi, math.pi, 241)[1:-1]  # of the wall, from the surface to the bottom
@@ -86,8 +86,9 @@ def test_pendulums_of_a_sphere_hang_in_its_centre(depth: float) -> None:
 
 
 def test_empty_and_full_sphere() -> None:
-    """Lamb's paraboloid: the lowest mode of shallow liquid in a bowl is that of a solid bob on a rod of the radius of
-    curvature. Henrici, Troesch & Wuytack (ZAMP 21, 1970): the half space with a round hole has 2.7547.
+    """Shallow liquid in a bowl has a lowest mode like a bob on a rod of the radius of curvature (Lamb's paraboloid).
+
+    The half space with a round hole has 2.7547 (Henrici, Troesch & Wuytack, ZAMP 21, 1970).
     """
     shallow = slosh_modes(SPHERE, 0.002, 1)[0]
     assert shallow.kappa == pytest.approx(1.0, abs=1e-3)

@@ -1,8 +1,8 @@
-"""Both slosh modes of a tank in motion, also after a separation: a free body and two bobs on rods.
+"""Both slosh modes of a moving tank, also after a separation, equal a free body with two bobs on rods.
 
 Newton's and Euler's equations in inertial coordinates, with the rods as constraints (multipliers), by DOP853. They
-share no coordinates, mass matrix or reduction with docs/model.md. From it come the damper (section 5) and the state
-in which a separation leaves the liquid (section 4).
+share no coordinates, mass matrix or reduction with docs/model.md. They confirm the damper (section 5) and the state of
+the liquid after a separation (section 4).
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ def cross_matrix(v: Array) -> Array:
 
 
 def hinges() -> Array:
-    """From the core's CG, in B."""
+    """Return the hinges relative to the core's CG, in B."""
     x, y, z = PARTS.core_cg
     return np.array([[x - bob.hinge_station_m, bob.place_m[0] - y, bob.place_m[1] - z] for bob in BOBS])
 
 
 def rates(_time: float, state: Array, thrust_N: float) -> Array:
-    """Time derivative of r, v, q (x, y, z, w), rate_B of the core, then place and velocity of each bob, all in I."""
+    """Return the rates of r, v, q (x, y, z, w), rate_B of the core, and of each bob's place and velocity in I."""
     r, v, w = state[0:3], state[3:6], state[10:13]
     places, speeds = state[13:19].reshape(2, 3), state[19:25].reshape(2, 3)
     turn = Rotation.from_quat(state[6:10]).as_matrix()
@@ -109,7 +109,7 @@ def cartesian(origin: Array, place: Array, velocity: Array, q: Array, rate: Arra
 
 
 def assert_moved(sizes: Any, y: Array, origin: Array, start: Array, seconds: float, thrust_N: float) -> None:
-    """The state `y` is where the constrained bodies are after this time."""
+    """Check that the state `y` equals the motion of the constrained bodies after this time."""
     wanted = solve_ivp(rates, (0.0, seconds), start, "DOP853", rtol=1e-11, atol=1e-11, args=(thrust_N,)).y[:, -1]
     firsts = [int(pendulum_index(sizes, n)) for n in range(len(BOBS))]
     bobs = np.array([[y[k : k + 3], y[k + 3 : k + 6]] for k in firsts])

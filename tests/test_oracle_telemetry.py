@@ -1,6 +1,6 @@
-"""The logged and counted values of a flight, from its data: NumPy, SciPy's rotations, the ellipsoid's formula.
+"""Logged and counted values of a flight follow from its data with NumPy, SciPy's rotations and the ellipsoid.
 
-A few steps of KSR-III in the air, flying askew, rolling and turning, so that no axis and no plane is like another.
+A few steps of KSR-III in the air with rotation about all axes make every axis and plane different.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def test_incidence_is_that_of_the_velocity_in_body_axes(flight: Flight) -> None:
 
 
 def test_metrics_are_the_extremes_of_what_is_logged(flight: Flight) -> None:
-    """Every step is logged; the engine has been started, and nothing holds the vehicle."""
+    """The metrics are the extremes of the log of every step, after engine start, with the vehicle free."""
     assert (flight["on_pad"] == 0.0).all()
 
     def most(*names: str) -> float:
@@ -144,7 +144,10 @@ def test_metrics_are_the_extremes_of_what_is_logged(flight: Flight) -> None:
 
 
 def test_incidence_and_its_product_with_pressure_have_extremes_of_their_own() -> None:
-    """The angle is worked out where it may raise either of them: it rises as the pressure falls, and the reverse."""
+    """Angle of attack and its product with pressure have separate extremes.
+
+    The angle is computed where it may raise either extreme: it rises as the pressure falls, and the reverse.
+    """
     run = FlightRun(load_scenario("nominal", START), log=False)
     extremes, aux = run.memory.extremes, blank(Aux)[0]
     gather = from_python(_gather_incidence)

@@ -1,4 +1,4 @@
-"""The linear loop along the ascent, against the difference of two nonlinear flights with and without an excitation."""
+"""The linear loop along the ascent equals the difference of two nonlinear flights with and without an excitation."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SINES = gimbal_injection("pitch", "multisine", 2e-4, frequencies_hz=(0.6, 1.1, 1
 
 
 def flown(*signals: object) -> tuple[np.ndarray, np.ndarray]:
-    """Return the law's output and the command in pitch, deg, one per sample."""
+    """Return the law's output and the command in pitch, deg, per sample."""
     scenario = LOADED.scenario.model_copy(update={"injection": signals})
     run = FlightRun(dataclasses.replace(LOADED, scenario=scenario), pack_flight(scenario))
     rows = fast_rows(run)
@@ -34,7 +34,7 @@ def flown(*signals: object) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.slow
 def test_the_loop_along_the_ascent_gives_the_flown_response() -> None:
-    """Compare 15 s; the loop frozen in their middle and a loop that is advanced for too short a time are far off."""
+    """Over 15 s the responses agree; the loop frozen at their middle, or advanced for too short a time, is far off."""
     design = LOADED.design
     assert design is not None
     (quiet, quiet_command), (law, command) = flown(), flown(SINES)

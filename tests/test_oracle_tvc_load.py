@@ -1,6 +1,6 @@
-"""The engine on the compliance of its actuators (docs/model.md, section 14) against independent solutions.
+"""The engine on the compliance of its actuators (docs/model.md, section 14) agrees with independent solutions.
 
-| what | against |
+| case | against |
 |---|---|
 | all coupled: modes, tanks, full inertia, engine free in both planes | Lagrange: accelerations, hinge moment |
 | one plane under thrust, engine hanging behind a bent gimbal | Lagrange of finite rotations, linearised (SymPy) |
@@ -108,7 +108,7 @@ def random_state(rng: np.random.Generator, modes: int, tanks: int) -> State:
 @pytest.mark.parametrize("tanks", [0, 1, 2])
 @pytest.mark.parametrize("seed", range(2))
 def test_free_engine_agrees_with_lagrange(seed: int, tanks: int) -> None:
-    """Large angles and rates. The oracle gets the engine's accelerations and answers with the moment they need."""
+    """Large angles and rates agree: from the engine's accelerations, the oracle computes the moment that they need."""
     rng = np.random.default_rng(500 + seed)
     parts = parts_of(rng)
     parts = replace(parts, tanks=parts.tanks[:tanks])
@@ -134,7 +134,7 @@ def stiff(**changes: object) -> Parts:
 
 
 def free_inertia(parts: Parts) -> float:
-    """Return the inertia about the hinge of an engine whose body is free to move."""
+    """Return the inertia of an engine about its hinge when the body is free to move."""
     first = parts.engine_mass_kg * parts.engine_cg_m
     about_gimbal = parts.engine_inertia_kgm2 + first * parts.engine_cg_m
     lever = about_gimbal + first * (parts.gimbal_station_m - parts.core_cg[0])
@@ -164,7 +164,7 @@ def test_engine_and_body_are_two_inertias_on_a_spring(axis: int) -> None:
 
 
 def test_floating_engine_hangs_on_its_gimbal() -> None:
-    """On the hold-down, without the actuators' force: a pendulum under the body's specific force."""
+    """On the hold-down without actuator force, the engine is a pendulum under the body's specific force."""
     parts = stiff()
     made = loaded(
         parts,
@@ -183,7 +183,7 @@ def test_floating_engine_hangs_on_its_gimbal() -> None:
 
 
 def test_energy_and_momentum_are_conserved() -> None:
-    """To what the integrator leaves: a sixteenth with half the step."""
+    """The error of energy and momentum is that of the integrator: a sixteenth with half the step."""
     rng = np.random.default_rng(7)
     parts = parts_of(rng)
     pitch, yaw = (tuple(replace(mode, zeta=0.0) for mode in plane) for plane in (parts.pitch, parts.yaw))
@@ -212,7 +212,7 @@ def test_energy_and_momentum_are_conserved() -> None:
 
 
 def test_friction_takes_what_dahl_says() -> None:
-    """First integral, rising through the friction: I v^2 / 2 + T (d - theta (1 - exp(-d / theta))) is constant."""
+    """Rising through the friction, I v^2 / 2 + T (d - theta (1 - exp(-d / theta))) is constant."""
     parts, torque, theta, rate = stiff(), 60.0, math.radians(0.2), 0.4
     made = loaded(
         parts,
@@ -250,8 +250,8 @@ def test_stop_is_a_stiff_spring() -> None:
 def planar_equations(modes: int) -> tuple[sp.Matrix, sp.Matrix, list[sp.Symbol]]:
     """Return the mass and stiffness matrices over (z, theta, eta.., delta) about axial flight at the specific force a.
 
-    Core with the engine locked by its free-free modes, less the locked engine, plus the engine where it is: at the
-    gimbal of the bent axis, turned by theta + sum sigma eta - delta. Thrust along the engine.
+    The core with the engine locked has its free-free modes. The locked engine is subtracted, and the engine added at
+    the gimbal of the bent axis, turned by theta + sum sigma eta - delta. Thrust acts along the engine.
     """
     m, j, m_e, l_e, i_t, arm, k, a = sp.symbols("m j m_e l_e i_t arm k a", positive=True)
     phi, sigma, mass, stiffness = (sp.symbols(f"{name}:{modes}") for name in ("phi", "sigma", "mass", "stiff"))
@@ -293,7 +293,7 @@ def planar_equations(modes: int) -> tuple[sp.Matrix, sp.Matrix, list[sp.Symbol]]
 
 
 def stiff_air(vehicle: PlanarVehicle) -> PlanarVehicle:
-    """Without liquid and mass flow; modes undamped, and without the softening of the core's own load."""
+    """Return the vehicle without liquid, mass flow, modal damping and softening by the core's own load."""
     modes, body = vehicle.modes, vehicle.body
     n = len(modes.omega_radps)
     bare = replace(modes, damping_ratio=np.zeros(n), phi_hinge=np.zeros((n, 0)), softening_kgpm=np.zeros((n, n)))
@@ -308,9 +308,7 @@ def stiff_air(vehicle: PlanarVehicle) -> PlanarVehicle:
 
 @pytest.mark.slow
 def test_axial_load_and_bent_gimbal_agree_with_lagrange() -> None:
-    """Check the effect of the axial load on the hinge, through the engine's own displacement and through the gimbal's
-    slope.
-    """
+    """The axial load acts on the hinge through the displacements of the engine and the slope of the gimbal."""
     node = nodes_along(load_scenario("nominal", [load_of(0.0)]), [30.0])[0]
     vehicle = stiff_air(planar_of(node))
     condition = replace(node.condition, airspeed_mps=0.0, gravity_mps2=0.0)
@@ -378,7 +376,7 @@ def engine_on_compliance_hz(time_s: float) -> Array:
 
 @pytest.mark.parametrize("time_s", REVIEW_HZ)
 def test_review_s_modes_of_ksr3_with_the_engine_on_its_compliance(time_s: int) -> None:
-    """The review's figures, to 0.4 % (its nodes have other masses); the linear model's, bare and as it flies."""
+    """The modes equal the review's figures to 0.4 % (its operating points have other masses), bare and as flown."""
     alone = engine_on_compliance_hz(float(time_s))
     np.testing.assert_allclose(alone, REVIEW_HZ[time_s], rtol=4e-3)
     node = nodes_along(load_scenario("nominal", [load_of(0.0)]), [float(time_s)])[0]

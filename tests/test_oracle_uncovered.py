@@ -1,4 +1,4 @@
-"""Intervals of a flight without operating points, against events, thrust tables and the moment of the nose by hand."""
+"""Intervals without operating points follow from events, thrust tables and a hand calculation of the nose moment."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def points(scenario: LoadedScenario) -> dict[int, list[float]]:
 
 
 def test_intervals_and_operating_points_are_the_whole_powered_flight() -> None:
-    """KSR-III coasts with its fins after burnout: no coast is named."""
+    """KSR-III coasts with its fins after burnout, so no coast is named."""
     scenario = load_scenario("nominal")
     (span,) = powered_flight(scenario)[0]
     times_s = points(scenario)[0]
@@ -65,9 +65,9 @@ def test_a_stage_without_operating_points_is_named_whole() -> None:
 
 @pytest.mark.slow
 def test_a_coast_of_an_unstable_airframe_is_named_with_its_growth() -> None:
-    """petrel between burnout of the first stage and ignition of the second: both fly without fins.
+    """petrel flies without fins between burnout of the first stage and ignition of the second.
 
-    M_alpha = q S CN_alpha (x_cg - x_nose) / I by hand, of the nose that is in front; the growth is its WKB integral.
+    M_alpha = q S CN_alpha (x_cg - x_nose) / I by hand, for the exposed nose; the growth is its WKB integral.
     """
     scenario = petrel.scenario()
     spans = powered_flight(scenario)[0]

@@ -1,4 +1,4 @@
-"""Vectors, quaternions and inertia of the kernels against NumPy and SciPy's rotations."""
+"""Vectors, quaternions and inertia of the kernels equal NumPy and SciPy's rotations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROUNDING = 1e-14  # of a dozen products of numbers of order one
 
 @entry
 def _everything(out, a, b, q, p, j):  # type: ignore[no-untyped-def]  # Numba infers
-    """Compile all of them at once; a row each."""
+    """Compile all functions at once; one row each."""
     a, b = (a[0], a[1], a[2]), (b[0], b[1], b[2])
     q, p = v.quaternion_at(q, 1), v.quaternion_at(p, 0)
     j = v.symmetric_at(j, 0)
@@ -78,7 +78,7 @@ def test_kernels_equal_the_library(size: float) -> None:
 
 
 def test_no_series_is_seen_where_it_ends() -> None:
-    """Sine and cosine to rounding on both sides of 0.25 rad, where the series gives way to the library."""
+    """Sine and cosine are exact to rounding on both sides of 0.25 rad, where the series ends and the library begins."""
     out = np.zeros((12, 4))
     for x in (*np.linspace(-0.26, 0.26, 27), 0.25, math.nextafter(0.25, 1.0)):
         _everything(

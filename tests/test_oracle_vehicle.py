@@ -1,4 +1,4 @@
-"""The results of simvehicle for a layout, against closed forms, and its vehicle in the simulator."""
+"""The results of simvehicle for a layout agree with closed forms and with its vehicle in the simulator."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def layout() -> Layout:
 
 @contextmanager
 def known_path() -> Iterator[None]:
-    """Build along the ascent of petrel without the search for it, in tests of what does not depend on it."""
+    """Build along the stored ascent of petrel, without the search, in tests that are independent of it."""
     found = petrel.path()
 
     def steer(model: Any, altitude_m: float) -> None:
@@ -79,7 +79,7 @@ def changed(layout: Layout, stage: int, **change: Any) -> Layout:
 @pytest.mark.slow
 @known_path()
 def test_guidance_to_an_orbit_and_an_accelerometer_are_written(layout: Layout, tmp_path: Path) -> None:
-    """The specific impulse is the engine's, by impulse over propellant of the last burn."""
+    """The specific impulse is impulse over propellant of the last burn."""
     again = Restart(coast_s=1500.0, settling_s=20.0, settling_thrust_N=50.0, cutoff=Cutoff(apogee_altitude_m=1e6))
     wanted = layout.trajectory.model_copy(update={"apogee_altitude_m": 500e3, "restart": (again,)})
     control = layout.control.model_copy(update={"accelerometer_station_m": 3.4})
@@ -106,7 +106,7 @@ def test_guidance_to_an_orbit_and_an_accelerometer_are_written(layout: Layout, t
 
 
 def test_uniform_beam_has_the_frequencies_and_masses_of_the_closed_form() -> None:
-    """Free-free: beta L = 4.73004, 7.85320, 10.99561; with 1 at the end the generalised mass is a quarter of it."""
+    """Free-free modes have beta L = 4.73004, 7.85320, 10.99561 and, with 1 at the end, a quarter of the beam's mass."""
     length, mass, stiffness = 12.0, 480.0, 3e7
     beam = Beam(np.linspace(0.0, length, ELEMENTS + 1), np.full(ELEMENTS, stiffness))
     modes = beam.modes([Rod(mass, 0.0, length, 0.0, 0.0)], 3)
@@ -119,7 +119,7 @@ def test_uniform_beam_has_the_frequencies_and_masses_of_the_closed_form() -> Non
 
 
 def test_engine_behind_the_beam_is_a_rigid_mass_with_a_lever() -> None:
-    """A mode has no momentum and no angular momentum, the engine's included."""
+    """A mode has no momentum and no angular momentum, including the engine's."""
     beam = Beam(np.linspace(0.0, 10.0, ELEMENTS + 1), np.full(ELEMENTS, 1e7))
     rods = [Rod(500.0, 0.0, 10.0, 0.0, 0.0), Rod(80.0, 10.0, 11.0, 0.0, 0.0)]
     with_it, without = beam.modes(rods, 1)[0], beam.modes(rods[:1], 1)[0]
@@ -134,7 +134,7 @@ def test_engine_behind_the_beam_is_a_rigid_mass_with_a_lever() -> None:
 
 
 def test_a_beam_held_at_its_tail_is_a_cantilever() -> None:
-    """beta L = 1.87510, 4.69409; 1 at the free end the generalised mass is a quarter of it, too."""
+    """Its modes have beta L = 1.87510, 4.69409 and, with 1 at the free end, a quarter of the beam's mass."""
     length, mass, stiffness = 12.0, 480.0, 3e7
     beam = Beam(np.linspace(0.0, length, ELEMENTS + 1), np.full(ELEMENTS, stiffness))
     modes = beam.modes([Rod(mass, 0.0, length, 0.0, 0.0)], 2, clamped=True)
@@ -186,7 +186,7 @@ def test_masses_add_up_and_the_propellant_is_burned(layout: Layout) -> None:
 
 
 def student_with_side_tanks(folder: Path, places: tuple[tuple[float, float], ...]) -> Layout:
-    """Return the student rocket, whose ethanol is in two tanks."""
+    """Return the student rocket with its ethanol in two tanks."""
     text = (Path(__file__).parent / "data" / "layouts" / "student.toml").read_text(encoding="utf-8")
     (line,) = re.findall(r"    \{ name = \"ethanol\".*\n", text)
     half = line.replace("16.0", "8.0").replace("residual_kg = 0.5", "residual_kg = 0.25").replace("0.11", "0.078")
@@ -200,7 +200,7 @@ def student_with_side_tanks(folder: Path, places: tuple[tuple[float, float], ...
 
 
 def test_tanks_off_the_axis_add_their_mass_times_squared_distances(tmp_path: Path) -> None:
-    """16 kg at 30 and 70 mm: to roll m (y^2 + z^2), to pitch m z^2, to yaw m y^2; half of it after half of the flow."""
+    """Tanks of 16 kg at 30, 70 mm add m (y^2 + z^2) to roll, m z^2 to pitch and m y^2 to yaw; half when half full."""
     beside, on_axis = (
         stacks(student_with_side_tanks(tmp_path, ((y, -z), (-y, z))))[0] for y, z in ((0.03, 0.07), (0.0, 0.0))
     )
@@ -232,7 +232,7 @@ def test_liquid_off_the_axis_that_does_not_balance_is_refused(tmp_path: Path) ->
 
 
 def test_cg_and_inertia_are_the_integrals_over_slices(layout: Layout) -> None:
-    """A flat tank, half full, next to rings: the same sums over a thousand slices."""
+    """A half-full flat tank next to rings equals sums over a thousand slices."""
     tank = layout.stage[0].tank[0].model_copy(update={"dome_m": (0.0, 0.0), "liquid_mass_kg": 3000.0})
     stack = stacks(changed(layout, 0, tank=(tank,)))[0]
     found, rods = stack.mass_properties(0.0), [*stack.dry, *stack.liquids(0.0)]
@@ -252,7 +252,10 @@ def test_cg_and_inertia_are_the_integrals_over_slices(layout: Layout) -> None:
 
 
 def test_fins_and_nose_have_barrowmans_slopes(layout: Layout) -> None:
-    """NARAM-8: nose 2 / rad; four fins of 0.8 m root, 0.4 m tip, 0.6 m span and 0.2 m sweep on a body of 1.2 m."""
+    """The slopes are those of NARAM-8: nose 2 / rad; four fins of 0.8 m root, 0.4 m tip, 0.6 m span, 0.2 m sweep.
+
+    The body has a diameter of 1.2 m.
+    """
     fins = {"root_chord_m": 0.8, "tip_chord_m": 0.4, "semispan_m": 0.6, "leading_edge_station_m": 16.0, "sweep_m": 0.2}
     from maxq.tools.vehicle.layout import LayoutFins  # noqa: PLC0415  # only here
 
@@ -280,7 +283,7 @@ def test_ascent_ends_in_the_orbit_asked_for(built) -> None:
 
 
 def test_fairing_is_dropped_and_nothing_else(built, layout: Layout) -> None:
-    """Check a burn in two parts: mass and its flow go on, but for the fairing."""
+    """In a burn in two parts, mass and flow are continuous except for the fairing."""
     assert layout.fairing is not None
     _, with_it, without = built.stacks
     whole, at = stacks(layout)[1], with_it.burn.end_s
@@ -302,7 +305,7 @@ def test_without_an_orbit_the_path_angle_is_met(layout: Layout) -> None:
 
 
 def test_orbit_has_the_heights_of_the_textbook() -> None:
-    """A Hohmann transfer's ellipse from its vis-viva speed, and a circle."""
+    """A Hohmann transfer ellipse and a circle follow from their vis-viva speeds."""
     low, high = WGS84_RADIUS_m + 250e3, WGS84_RADIUS_m + 900e3
     at_perigee = math.sqrt(WGS84_MU_m3ps2 * (2.0 / low - 2.0 / (low + high)))
     assert Orbit.of(low, at_perigee, 0.0) == pytest.approx((250e3, 900e3), abs=1.0)
@@ -336,7 +339,7 @@ def test_a_wrong_layout_is_answered_in_one_line(
 
 
 def test_the_gimbals_of_a_cluster_hold_its_roll() -> None:
-    """Sum the moments of the engines, lateral force times arm: roll has 0.4 Hz and a damping ratio of 0.7."""
+    """The moments of the engines, lateral force times arm, give roll 0.4 Hz and a damping ratio of 0.7."""
     loaded = load_scenario(petrel.folder() / "scenario.toml")
     scenario, stage = loaded.scenario, loaded.vehicle.stage[0]
     assert [e.group for e in stage.engines].count("left") == [e.offset_m[0] < -0.1 for e in stage.engines].count(True)
@@ -382,7 +385,7 @@ def test_the_campaign_of_a_layout_flies_every_stage_in_wind() -> None:
 
 
 def test_a_case_from_a_layout_asks_for_what_its_suite_asks() -> None:
-    """And for more, so that a design that meets the one is not rejected by the other for it."""
+    """A case from a layout demands more than its suite, which does not reject a design that meets the case."""
     suite = read_suite(petrel.folder() / "suite.toml").suite
     asked = suite.margins.nominal
     assert suite.margins.trajectories > 0
@@ -406,7 +409,7 @@ def test_a_case_from_a_layout_asks_for_what_its_suite_asks() -> None:
 @pytest.mark.slow
 @known_path()
 def test_rigid_limits_follow_actuator_and_mode_1(layout: Layout) -> None:
-    """The value is at most an eighth of both, for each stage; a layout may state one value for all stages."""
+    """The limit is at most an eighth of both frequencies for each stage; a layout may set one value for all stages."""
     engine = layout.stage[0].engine.model_copy(update={"servo_hz": (2.0,)})
     slow = build(changed(layout, 0, engine=engine))
     assert {slow.rigid_hz(p) for p in slow.flight.points if p.number == 0} == {0.25}
@@ -441,7 +444,7 @@ def _built_with(path: Path, override: str):
 @pytest.mark.slow
 @known_path()
 def test_the_vehicle_flies_the_point_mass_s_path_to_orbit(tmp_path: Path, built) -> None:
-    """All stages, nine engines, under the first gains, six degrees of freedom over the oblate Earth."""
+    """All stages with nine engines fly under the first gains with six degrees of freedom over the oblate Earth."""
     assert simvehicle.main(["petrel", "--out", str(tmp_path)]) == 0
     flight = fly(load_scenario(tmp_path / "scenario.toml"))
     assert not flight.failures
@@ -459,7 +462,10 @@ def test_the_vehicle_flies_the_point_mass_s_path_to_orbit(tmp_path: Path, built)
 
 
 def test_the_pitch_over_of_an_ascent_is_rounded_and_the_tangents_follow():
-    """Here with a level end where the tangents are twice the pitch-over and minus its square."""
+    """After the pitch-over is rounded, the tangents are solved for again, so that the end stays level.
+
+    In this test the end is level where the tangents are twice the pitch-over and minus its square.
+    """
 
     def ends(x):
         return np.array([x[1] - 2.0 * x[0], x[2] + x[0] ** 2, 7.8])

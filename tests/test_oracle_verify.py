@@ -1,11 +1,11 @@
-"""The computations of simverify, against independent ones.
+"""The computations of simverify agree with independent ones.
 
-| what | against |
+| quantity | against |
 |---|---|
-| centre of percussion | the point that the linear plant does not accelerate when the engine pushes |
-| wind that takes all of the gimbal | the moment of the plant in trim at that angle of attack |
+| centre of percussion | the point without acceleration in the linear plant under the engine's force |
+| wind that uses the whole gimbal | the moment of the plant in trim at that angle of attack |
 | corners | every factor as often high as low, and every pair of factors uncorrelated |
-| margins of a vehicle that does not deviate | those of the design |
+| margins of a vehicle without deviations | those of the design |
 | damping that slosh needs | the closed loop grows with less and not with more |
 | one changed gain | only the neighbouring operating points are computed again |
 """
@@ -54,7 +54,7 @@ def campaign(seed: int = 1) -> LoadedCampaign:
 
 
 def _rigid(node: Node) -> Node:
-    """Liquid frozen, no modes that move, no engine inertia."""
+    """Return the operating point with frozen liquid, fixed modes and no engine inertia."""
     frozen = disperse(node, Dispersion(slosh_mass=0.0, bending_shape=0.0))
     return dataclasses.replace(frozen, held=without_engine_inertia(frozen.held))
 
@@ -81,7 +81,7 @@ def test_gimbal_trims_just_the_wind_that_takes_all_of_it(nodes: list[Node]) -> N
 
 
 def of_modes(node: Node, n: int) -> Node:
-    """Return `node` with `n` modes, sufficient for drawing."""
+    """Return `node` with `n` modes, for drawing."""
     found = dataclasses.replace(node)
     found.__dict__["vehicle"] = dataclasses.replace(node.vehicle, omega_radps=np.ones(n))
     return found
@@ -115,7 +115,7 @@ def test_random_vehicles_do_not_depend_on_how_many_there_are(nodes: list[Node]) 
 
 
 def test_every_mode_of_the_vehicle_deviates(nodes: list[Node]) -> None:
-    """Beyond the last share given the last one holds, and the numbers of the modes before stay what they are."""
+    """Modes beyond the last given share have the last share, and the draws of earlier modes are unchanged."""
     wanted = LinearMargins(cases=1, corner_sigmas=0.0)
     three, two = (vehicles(wanted, of_modes(nodes[0], n), campaign(5))[1][0] for n in (3, 2))
     assert len(np.unique(three.bending_frequency)) == 3

@@ -1,4 +1,4 @@
-"""The worst instant between nodes, against phases read off L at every tenth of a second."""
+"""The worst instant between operating points equals that from phases of L every tenth of a second."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def nodes_at(times_s: Sequence[float]) -> list[Node]:
 
 
 def least_phase_deg(node: Node) -> float:
-    """Over the crossings of |L| = 1 from 0.1 to 4 Hz: rigid body and both tanks."""
+    """Return the least phase margin over the crossings of |L| = 1 from 0.1 to 4 Hz: rigid body and both tanks."""
     assert SCENARIO.design is not None
     loop = close_loop(fixed_path(node), SCENARIO.design)
     f = np.linspace(0.1, 4.0, 40_000)
@@ -39,7 +39,7 @@ def least_phase_deg(node: Node) -> float:
 
 @pytest.mark.slow
 def test_the_worst_instant_is_found_and_becomes_a_node() -> None:
-    """30.1 deg at 50 and at 55 s, 22 between, where the peak of LOX slosh passes 0 dB."""
+    """The phase margin is 30.1 deg at 50 and at 55 s, and 22 deg between, where the peak of LOX slosh passes 0 dB."""
     limits = LoopLimits(rigid_phase_deg=30.0)
     assert SCENARIO.design is not None
     found = worst_instants(nodes_at, SCENARIO.design, [50.0, 55.0], limits)
@@ -63,7 +63,10 @@ def test_no_instant_is_added_where_the_nodes_are_the_worst() -> None:
 def test_an_instant_becomes_a_node_from_what_is_documented_on(
     name: str, just_worse: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """0.02 dB, 0.1 deg, 0.05 ms: a margin of 10 at the nodes that dips between them."""
+    """An instant becomes an operating point from 0.02 dB, 0.1 deg or 0.05 ms.
+
+    The example is a margin of 10 that dips between the points.
+    """
     none: Any = None
     for depth, wanted in ((0.9 * just_worse, []), (1.1 * just_worse, [43.21])):
         monkeypatch.setattr(linear, "Loop", lambda time_s, law: time_s)
@@ -77,7 +80,7 @@ def test_an_instant_becomes_a_node_from_what_is_documented_on(
 
 @pytest.mark.long
 def test_all_margins_that_are_asked_for_are_searched() -> None:
-    """Each instant is worse in one of them than every node is, and no tenth of a second is worse still."""
+    """Each instant is worse in one margin than every operating point, and no tenth of a second is worse."""
     limits = LoopLimits(gain_up_db=6.0, rigid_phase_deg=30.0, delay_ms=10.0, slosh_phase_deg=30.0, modes_from_2_db=-6.0)
     asked = [name for name in MEASURED if getattr(limits, name) is not None]
     assert SCENARIO.design is not None

@@ -1,4 +1,4 @@
-"""The ways out of an infeasible case, against problems that are solved again with the change in question."""
+"""The proposed changes of an infeasible case agree with problems that are solved again with each change."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def solved_again(case, start, loaded) -> float:
 
 @pytest.mark.long
 def test_a_multiplier_is_what_relief_of_its_limit_gains(two_nodes: tuple) -> None:
-    """A tenth of a dB each: of the gain margin, of the phase margin as the optimiser counts it, of a ratio."""
+    """Multipliers equal the gain from 0.1 dB of gain margin, of phase margin in dB, and of a ratio."""
     loaded, s = two_nodes
     found = {relief.what: relief for relief in conflict(s)}
     assert s.violation_db == pytest.approx(0.2881, abs=1e-3)
@@ -75,7 +75,7 @@ def test_a_bound_costs_what_moving_it_gains(two_nodes: tuple) -> None:
 
 @pytest.mark.slow
 def test_a_frequency_at_its_bound_is_priced_by_the_octave() -> None:
-    """Roots from 5 Hz instead of 3: the lowest root lies there, of a design that is found as well."""
+    """With roots from 5 Hz instead of 3, the lowest root is at the bound, also for a feasible design."""
     loaded = kit.case("nodes_s=[45.0]", "objective.kind=least-margin", "filter.bounds.zero_hz=[5.0, 100.0]", *SHORT)
     s = solve(loaded)
     assert s.feasible
@@ -90,7 +90,7 @@ def test_a_frequency_at_its_bound_is_priced_by_the_octave() -> None:
 
 @pytest.fixture(scope="module")
 def margin() -> tuple:
-    """Return a case of KSR-III with a limit of |1 + L|, its best effort, and the trials from there."""
+    """Return a case of KSR-III with a limit on |1 + L|, its best effort, and the trials from there."""
     loaded = kit.case(*MODULUS)
     s = solve(loaded)
     trials, interrupted = tried(loaded, s)
@@ -100,9 +100,9 @@ def margin() -> tuple:
 
 @pytest.mark.long
 def test_wider_bounds_gain_more_than_a_higher_order(margin: tuple) -> None:
-    """KSR-III at 45 s: the limit and those of the rigid body are missed by 0.71 dB, by 0.6 to 0.7 dB with F5.
+    """For KSR-III at 45 s, the worst limits are missed by 0.71 dB, and with F5 still by 0.6 to 0.7 dB.
 
-    The trial of F5 ends by its number of evaluations: which valley it reaches by then, 0.615 or 0.680 dB, hangs on
+    The trial of F5 ends by its number of evaluations. The minimum reached by then, 0.615 or 0.680 dB, depends on
     rounding.
     """
     _, s, (wider, higher, _) = margin
@@ -122,7 +122,7 @@ def test_wider_bounds_gain_more_than_a_higher_order(margin: tuple) -> None:
 
 @pytest.mark.long
 def test_a_trial_is_confirmed_by_the_case_with_its_settings(margin: tuple) -> None:
-    """With the wider bounds F4 has a least |1 + L| of 0.898 where it has 0.734 without; F5 has 0.749."""
+    """With the wider bounds, F4 has a least |1 + L| of 0.898 instead of 0.734; F5 has 0.749."""
     _, s, (wider, higher, _) = margin
     confirmed = solve(kit.case(*MODULUS, *wider.settings))
     assert confirmed.feasible
@@ -137,7 +137,7 @@ def test_a_trial_is_confirmed_by_the_case_with_its_settings(margin: tuple) -> No
 
 @pytest.mark.long
 def test_a_faster_computer_is_that_of_the_vehicle_file(margin: tuple) -> None:
-    """The trial changes the instruments of the operating points; here the vehicle flies with the sample period."""
+    """The trial changes the instruments of the operating points as the sample period does in flight."""
     loaded, s, (*_, faster) = margin
     (setting,) = faster.settings
     assert setting == "vehicle.computer.sample_s=0.005"
@@ -180,7 +180,7 @@ def test_multipliers_say_nothing_of_an_unstable_best_effort(margin: tuple) -> No
 
 @pytest.mark.long
 def test_trials_of_a_robust_case_hold_its_dispersed_vehicles() -> None:
-    """The vehicles are made again from the labels of the search; the violation of the best effort is the same."""
+    """The vehicles are rebuilt from the labels of the search, and the violation of the best effort is unchanged."""
     limits = ("limits.gain_margin_db=14", "limits.phase_margin_deg=50", "robust.limits.gain_margin_db=8")
     few = ("nodes_s=[45.0]", "search.starts=2", "search.leaps=0", "robust.rounds=1", "robust.corner_sigmas=1")
     loaded = kit.case(*limits, *few, name="ksr3-robust")

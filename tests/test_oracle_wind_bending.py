@@ -1,9 +1,9 @@
-"""Bending moments of the linear plant against the simulator's section loads.
+"""Bending moments of the linear plant equal the simulator's section loads.
 
-| what | oracle |
+| quantity | oracle |
 |---|---|
 | every coefficient of the moment by states and engine, both planes | the simulator's section loads, linearised: 1e-8 |
-| the same with tables at a trim, liquid that goes over to the core, a line mass that does not fit | so |
+| the same with tables at a trim, liquid that moves to the core, an inconsistent line mass | likewise |
 | by the wind | the simulator's section loads in constant side winds |
 | rms in turbulence with the loop closed | 24 flights through it |
 """
@@ -48,7 +48,7 @@ def flight() -> Flight:
 
 
 def simulated(model, plane: str, names: list[str]) -> Array:
-    """Return the moments by states of a plane, in the plane's mirrored axes: (stations, names)."""
+    """Return the moments by states of a plane, in its mirrored axes: (stations, names)."""
     rows = [k for k, name in enumerate(model.outputs) if name.startswith(f"bending_{plane}")]
     turned = ("r_radps", "psi_rad", "actuator_yaw")
     sign = np.array([-1.0 if name.startswith(turned) else 1.0 for name in names])
@@ -66,7 +66,7 @@ def with_engine(body: StateSpace, packed: Packed, plane: str) -> Array:
 
 
 def agree(theirs: Array, ours: Array) -> None:
-    """Each coefficient to 1e-8 of itself and 1e-9 of the largest of all stations by the same state."""
+    """Check each coefficient to 1e-8 of itself and 1e-9 of the largest over all stations by the same state."""
     assert (np.abs(ours - theirs) <= TOLERANCE * np.abs(theirs) + 1e-9 * np.abs(ours).max(axis=0) + 1e-6).all()
 
 
@@ -82,7 +82,7 @@ def test_every_coefficient_is_the_simulators(flight: Flight, time_s: float, more
 
 
 def loaded() -> dict[str, Any]:
-    """Return a line mass unlike the vehicle's, and shares of drag. All liquid of the tank is in the pendulum bob."""
+    """Return a line mass unlike the vehicle's, with shares of drag; all liquid is in the pendulum bob."""
     line = [{"front_station_m": 0.0, "rear_station_m": 11.5, "mass_kg": 3000.0}]
     liquid = [
         {"tank": "1", "bottom_station_m": 6.0, "table": {"time_s": [0.0], "mass_kg": [700.0], "front_station_m": [4.5]}}
@@ -98,7 +98,7 @@ def loaded() -> dict[str, Any]:
 
 @pytest.mark.parametrize("trim_deg", [(0.0, 0.0), (4.0, -3.0)])
 def test_with_tables_over_incidence(trim_deg: tuple[float, float]) -> None:
-    """Two of them and surfaces over Mach number, cross-flow and drag besides."""
+    """The moments agree with two such tables, and surfaces over Mach number, cross-flow and drag."""
     made: Rig = inclined(trim_deg, symmetric()["coefficients"], loads=loaded(), switches={"section_loads": True})
     model = linearise(made.packed, made.packed.state, 0.0)
     for plane, shape in (("pitch", "eta"), ("yaw", "xi")):
@@ -144,10 +144,10 @@ def moments(scenario: LoadedScenario) -> Array:
 @pytest.mark.long
 @pytest.mark.slow  # 24 flights
 def test_rms_is_that_of_flights_through_turbulence() -> None:
-    """Below 5 Hz there is a fifth less, or more: bending modes have it.
+    """The rms agrees; the part below 5 Hz is at least a fifth smaller, because of the bending modes.
 
-    The simulator's turbulence is drawn every tick and linear between: of a spectrum that falls with 1 / f^2 the images
-    and that make it the spectrum times sinc^2.
+    The simulator's turbulence is drawn every tick and linear between ticks. For a spectrum proportional to 1 / f^2,
+    images and interpolation give the spectrum times sinc^2.
     """
     sigmas = ", ".join(f"sigma_{axis}_mps=[{s}, {s}]" for axis, s in zip("uvw", (1e-3, 2.0, 2.0), strict=True))
     lengths = ", ".join(f"length_{axis}_m={LENGTH_M}" for axis in "uvw")

@@ -1,10 +1,10 @@
-"""`simdesign bias`: the biased programme against geometry, from velocity, wind and attitude by SciPy's rotations.
+"""`simdesign bias` agrees with the geometry of velocity, wind and attitude by SciPy's rotations.
 
-| what | oracle |
+| quantity | oracle |
 |---|---|
 | angle between axis and air in the biased flight | that of still air, from velocity, attitude and wind |
-| bias that is reported | integral of the difference between the programmes |
-| half of it | half of the angle of attack that the wind adds |
+| reported bias | integral of the difference between the programmes |
+| half the bias | half of the angle of attack that the wind adds |
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def biased(share: float = 1.0):
 
 
 def off_axis_rad(flight: Flight, windy: bool) -> Array:
-    """(2, times): angles of the velocity relative to the air above and to the right of the axis."""
+    """Return the angles (2, times) of the relative wind above and to the right of the axis."""
 
     def at(name: str) -> Array:
         return np.interp(AT_S, flight.time_s(name), flight[name])

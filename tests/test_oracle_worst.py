@@ -1,4 +1,4 @@
-"""The search for the worst vehicle against brute force, chance, and the scenario that it writes."""
+"""The search for the worst vehicle agrees with exhaustive and random searches, and with the scenario that it writes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ NONE = {key: 0.0 for key in DEVIATIONS if key not in FEW}
 
 @cache
 def usual() -> LoadedCampaign:
-    """Return the deviations of a suite without a campaign, of KSR-III."""
+    """Return the deviations of a suite without a campaign, for KSR-III."""
     return campaign_of(Spread(), design_nodes.nominal())
 
 
@@ -51,12 +51,12 @@ def deviating(spread: Spread) -> LoadedCampaign:
 
 
 def alone(deviations, **sigmas: float) -> np.ndarray:
-    """Return the scores of a vehicle in which a few deviate, by their names, and none of the others."""
+    """Return the scores of a vehicle in which only the named deviations are nonzero."""
     return np.array([sigmas.get(name.replace(" ", "_"), 0.0) / 3.0 for name in deviations.places])
 
 
 def exact(node: Node, by: Dispersion) -> float:
-    """Return the least |1 + L| as margins are measured, on a curve refined where it bends; below 0: unstable."""
+    """Return the least |1 + L| from margins on a curve refined at its bends; below 0: unstable."""
     loop = Loop(fixed_path(disperse(node, by)), law_at(design_nodes.design(), node))
     found = margins(loop, resonances=loop.fixed.resonances())
     return found.modulus if found.stable else -1.0
@@ -68,7 +68,10 @@ def vehicle(node: Node, campaign: LoadedCampaign, u: np.ndarray) -> Dispersion:
 
 @pytest.mark.long
 def test_no_corner_of_a_small_box_is_worse() -> None:
-    """All 2^8 corners of three mode frequencies, two slosh frequencies and masses, and the delay, by exact margins."""
+    """None of the 2^8 corners is worse by exact margins.
+
+    They are of three mode frequencies, two slosh frequencies and masses, and the delay.
+    """
     node = design_nodes.node_at(50.0)
     spread = deviating(Spread(**FEW, **NONE))
     assert len(deviations_of(spread, node).places) == 8
@@ -83,7 +86,7 @@ def test_no_corner_of_a_small_box_is_worse() -> None:
 
 @pytest.mark.slow
 def test_slopes_are_those_of_the_sampled_loop() -> None:
-    """By differences of the loop that is judged, near slosh, the rigid body's crossover and the first mode."""
+    """The slopes equal differences of the judged loop near slosh, the rigid body's crossover and the first mode."""
     node, deviations = design_nodes.node_at(45.0), deviations_of(usual(), design_nodes.node_at(45.0))
     places = deviations.places
     u, steps = 0.2 * np.sin(np.arange(len(places)) + 1.0), np.full(len(places), 1e-4)
@@ -103,7 +106,7 @@ def test_slopes_are_those_of_the_sampled_loop() -> None:
 
 @pytest.mark.long
 def test_no_vehicle_by_chance_in_the_ellipsoid_is_worse() -> None:
-    """300 vehicles on its surface, half of them near the worst one found; every mode and tank deviates separately."""
+    """No vehicle of 300 on its surface is worse, half of them near the worst; modes and tanks deviate separately."""
     node = design_nodes.node_at(45.0)
     spread, places = usual(), deviations_of(usual(), node).places
     assert {"slosh mass 1", "slosh mass 2", "bending frequency 3", "bending slope 2"} <= set(places)
@@ -120,7 +123,7 @@ def test_no_vehicle_by_chance_in_the_ellipsoid_is_worse() -> None:
 
 
 def test_distance_of_an_unstable_loop_is_negative() -> None:
-    """Least |1 + L| of a dense grid, its sign by the closed loop's poles: a thrust that the loop does not bear."""
+    """The distance is the least |1 + L| of a dense grid, negative for a thrust at which the closed loop is unstable."""
     node = design_nodes.node_at(45.0)
     none = {key: 0.0 for key in DEVIATIONS if key != "thrust"}
     spread = deviating(Spread(**none, thrust=0.9))
@@ -139,7 +142,7 @@ def test_distance_of_an_unstable_loop_is_negative() -> None:
 def test_a_root_of_days_is_drift_and_one_of_minutes_is_unstable(
     monkeypatch: pytest.MonkeyPatch, radps: float, sign: float
 ) -> None:
-    """The same curve, its closed loop with a root to the right of the axis, slower than four hours or not."""
+    """A closed-loop root to the right of the axis is drift if it is slower than four hours, and else unstable."""
 
     class Drifting(Loop):
         def closed_poles(self) -> Any:
@@ -157,7 +160,7 @@ def test_a_root_of_days_is_drift_and_one_of_minutes_is_unstable(
 
 @pytest.mark.long
 def test_a_pole_at_zero_is_drift_and_no_unstable_vehicle() -> None:
-    """Petrel's stage 3 beyond the air has closed poles at zero, computed on either side of the axis."""
+    """Petrel's stage 3 above the atmosphere has closed poles at zero, computed on either side of the axis."""
     (node,) = petrelkit.nodes(400.0)
     design = petrelkit.scenario().design
     loop = Loop(fixed_path(node), law_at(design, node))
@@ -169,7 +172,7 @@ def test_a_pole_at_zero_is_drift_and_no_unstable_vehicle() -> None:
 
 
 def test_pendulums_of_the_scenario_swing_as_much_faster() -> None:
-    """f goes with 1 / sqrt(length)."""
+    """The frequency is proportional to 1 / sqrt(length)."""
     deviations = deviations_of(usual(), design_nodes.node_at(40.0))
     u = alone(deviations, slosh_frequency_1=2.4, slosh_frequency_2=-1.8, slosh_mass_1=2.4, slosh_mass_2=-2.1)
     assert deviations.at(u).slosh_frequency == pytest.approx([1.04, 0.97], rel=1e-12)
@@ -181,7 +184,7 @@ def test_pendulums_of_the_scenario_swing_as_much_faster() -> None:
 
 @pytest.mark.slow
 def test_the_scenario_written_is_the_vehicle_measured() -> None:
-    """The node of the scenario's own flight has the margins that were found with the deviated node."""
+    """The operating point of the scenario's flight has the margins of the deviated operating point."""
     node, base = design_nodes.node_at(40.0), design_nodes.nominal()
     deviations = deviations_of(usual(), node)
     u = alone(
@@ -218,7 +221,7 @@ def test_the_scenario_written_is_the_vehicle_measured() -> None:
 
 
 def test_the_delay_is_that_of_the_stages_computer_up_to_its_sample() -> None:
-    """The linear model and the flight have the same: 6 ms at three sigma of 2 ms, and the sample of 10 ms at most."""
+    """Linear model and flight have the same delay: 6 ms at three sigma of 2 ms, at most the sample of 10 ms."""
     base = load_scenario("nominal", ["vehicle.stage.0.computer={delay_s=0.004}"])
     (node,) = maxq.nodes(base, [40.0])
     for late_s, delay_s in ((0.002, 0.006), (0.009, 0.01)):
@@ -233,7 +236,7 @@ def test_the_delay_is_that_of_the_stages_computer_up_to_its_sample() -> None:
 def test_the_worst_of_all_nodes_is_measured_and_flown(
     monkeypatch: pytest.MonkeyPatch, failures: tuple[str, ...], stable: bool
 ) -> None:
-    """Three nodes whose searches, two each, end at 0.5, 0.2 and 0.4 after 7 loops."""
+    """The worst of three operating points is flown, whose two searches each end at 0.5, 0.2 and 0.4 after 7 loops."""
     nodes: Any = [SimpleNamespace(time_s=t, plane="yaw", found=v) for t, v in ((5.0, 0.5), (9.0, 0.2), (13.0, 0.4))]
     measured = SimpleNamespace(modulus=0.21, stable=stable)
     stand_in = {
@@ -264,7 +267,7 @@ def test_the_worst_of_all_nodes_is_measured_and_flown(
 
 
 def test_the_worst_between_nodes_and_along_other_flights_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """c(t) + a . u in a box, with c least at 8.33 s between the nodes; a flight with c lower by 0.1 is worse still."""
+    """For c(t) + a . u in a box, the least c at 8.33 s is found, and a flight with c lower by 0.1."""
     a = np.array([0.05, -0.02, 0.01])
 
     def node(t: float, lower: float = 0.0) -> Any:
@@ -302,7 +305,7 @@ def test_the_worst_between_nodes_and_along_other_flights_is_found(monkeypatch: p
 
 @pytest.mark.parametrize("shape", ["ellipsoid", "box"])
 def test_a_descent_ends_where_scipys_does(shape: Any) -> None:
-    """A quadratic in six coordinates whose least value in the region is on its border, with free coordinates."""
+    """A quadratic in six coordinates with its minimum on the border of the region, with free coordinates, agrees."""
     rng = np.random.default_rng(11)
     root = rng.normal(size=(6, 6))
     curved, centre = 0.05 * root @ root.T + np.eye(6), np.array([1.2, 0.3, -0.8, 0.1, 2.0, -0.2])
@@ -325,7 +328,7 @@ def test_a_descent_ends_where_scipys_does(shape: Any) -> None:
 
 
 def refined_by_scipy(node: Node, campaign: LoadedCampaign, wanted: WorstWanted, design: Any, count: int) -> list[float]:
-    """Least distances of L-BFGS-B searches, by differences, from random points of the surface of the region."""
+    """Return the least distances of L-BFGS-B searches by differences from random points of the region's surface."""
     at, rng = worst.distances(node, design, campaign), np.random.default_rng(9)
     reach, n, step = wanted.sigmas / 3.0, len(deviations_of(campaign, node).places), 1e-4
     box = wanted.region == "box"
@@ -354,7 +357,7 @@ def refined_by_scipy(node: Node, campaign: LoadedCampaign, wanted: WorstWanted, 
     [("ellipsoid", 3), *(pytest.param(region, 500, marks=pytest.mark.long) for region in ("box", "ellipsoid"))],
 )
 def test_no_random_refinement_finds_a_worse_vehicle(region: Any, count: int) -> None:
-    """Check ksr3-ringed at 53.5 s (two sigma each) and ksr3-robust at 45 s (three sigma together)."""
+    """No refinement is worse for ksr3-ringed at 53.5 s (two sigma each) and ksr3-robust at 45 s (three sigma)."""
     name, time_s, sigmas = ("ksr3-ringed", 53.5, 2.0) if region == "box" else ("nominal", 45.0, 3.0)
     scenario, wanted = load_scenario(name), WorstWanted(region=region, sigmas=sigmas, starts=4)
     design = scenario.design if region == "box" else maxq.load_design("designs/ksr3-robust")
@@ -372,7 +375,7 @@ def test_no_random_refinement_finds_a_worse_vehicle(region: Any, count: int) -> 
 
 @pytest.mark.parametrize("region", ["ellipsoid", "box"])
 def test_search_ends_where_a_linear_distance_is_least(monkeypatch: pytest.MonkeyPatch, region: str) -> None:
-    """c + a . u is least at c - |a| in the unit ball, and at c - sum |a| in the box: at once along the gradient."""
+    """c + a . u has the minimum c - |a| in the unit ball and c - sum |a| in the box, found along the gradient."""
     node = design_nodes.node_at(40.0)
     a = np.random.default_rng(3).normal(size=len(deviations_of(usual(), node).places))
     c = 2.0 + np.abs(a).sum()
@@ -431,7 +434,7 @@ def going_together(*pairs: tuple[tuple[str, str], float]) -> Spread:
 
 
 def test_corners_follow_correlations() -> None:
-    """Deviations are sqrt(R) times independent scores (SciPy's root), at corners and of a search."""
+    """Deviations are sqrt(R) times independent scores (SciPy's root), at corners and in a search."""
     node = design_nodes.node_at(40.0)
     spread = deviating(going_together((("slosh_mass.0", "slosh_mass.1"), 0.8), (("thrust", "inertia"), -0.5)))
     places = deviations_of(spread, node).places

@@ -1,6 +1,6 @@
-"""Order of convergence of the whole closed-loop flight, step halving, and agreement with another integrator.
+"""The closed-loop flight converges at its order as the step is halved, and agrees with another integrator.
 
-The nominal vehicle with its design, in flight at 25 s, flies five seconds through a gust with everything on: bending,
+The nominal vehicle with its design, in flight at 25 s, flies five seconds through a gust with all effects on: bending,
 slosh, actuators, gyros, computer. Quantisation is off, so that the flight depends smoothly on its steps. The actuators'
 limits are off where an order is measured, because a rate limit that switches inside a step costs an order or two.
 """
@@ -23,7 +23,7 @@ START_S = 25.0
 
 
 def nominal(step_s: float, *more: str) -> Rig:
-    """In flight, with wind and a gust ahead."""
+    """Return a rig in flight, with wind and a gust ahead."""
     changes = [
         'design="designs/ksr3-default.toml"',  # the steps below are in its asymptotic range
         f"run.step_s={step_s!r}",
@@ -71,25 +71,25 @@ class Flights:
 
 @pytest.fixture(scope="module")
 def flights() -> Flights:
-    """Without limits of the actuators."""
+    """Return the flights without limits of the actuators."""
     return flights_of("switches.actuator='linear'")
 
 
 @pytest.fixture(scope="module")
 def limited() -> Flights:
-    """With limits, into a strong cross-wind that the actuators answer at their rate limit."""
+    """Return the flights with limits, into a strong cross-wind in which the actuators reach their rate limit."""
     return flights_of("initial.ned_mps=[-60.0, -130.0, -300.0]", "wind.speed_mps=20.0")
 
 
 def flights_of(*changes: str, largest_s: float = 0.002) -> Flights:
-    """Fly with a step, half and a quarter of it, and a sixteenth."""
+    """Fly with a step, half, a quarter and a sixteenth of it."""
     steps = (largest_s, largest_s / 2.0, largest_s / 4.0)
     ends = tuple(flown(nominal(step, *changes), DURATION_S)[-1] for step in steps)
     return Flights(steps, ends, flown(nominal(largest_s / 16.0, *changes), DURATION_S)[-1])
 
 
 def test_flight_moves_everything(flights: Flights) -> None:
-    """Otherwise the order would be that of nothing."""
+    """The flight moves every state, without which the order would be meaningless."""
     y = flights.finest
     assert len(y) == 58
     assert abs(y[GROUPS["roll rate"]][0]) > 1e-6
@@ -117,8 +117,8 @@ def test_halving_the_step_divides_the_error_by_sixteen(flights: Flights, group: 
 def test_roll_rate_converges_with_order_four() -> None:
     """Halving the step from 0.5 ms on divides the error by 13.5 and 14.6; 16 is the limit.
 
-    Nothing of first order drives roll here but the products of the engine's displacement and the modes' rates, which
-    oscillate at sums and differences of their frequencies: halving 1 ms divides the error by 9.7 only.
+    In roll, only the products of engine displacement and modal rates act, which oscillate at sums and differences of
+    their frequencies: halving 1 ms divides the error by only 9.7.
     """
     fine = flights_of("switches.actuator='linear'", largest_s=0.0005)
     errors = fine.errors("roll rate")
@@ -137,7 +137,7 @@ def test_position_converges_to_its_rounding(flights: Flights) -> None:
 
 
 def test_limits_cost_order_but_little_accuracy(limited: Flights) -> None:
-    """Half a millisecond is better than two by a factor that second order would give at least."""
+    """The error at half a millisecond is smaller than at two by at least the factor of second order."""
     rates = limited.finest[GROUPS["actuators"]]
     assert np.linalg.norm(rates) > 1e-2
     for group in [*SMOOTH, "roll rate"]:
@@ -153,7 +153,7 @@ def test_limits_cost_order_but_little_accuracy(limited: Flights) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("actuator", ["linear", "full"])
 def test_reference_integrator_agrees(actuator: str) -> None:
-    """DOP853 at 1e-11 over the first second, against steps of 1/8 ms."""
+    """DOP853 at 1e-11 over the first second agrees with steps of 1/8 ms."""
     changes = (f"switches.actuator='{actuator}'",)
     theirs = fly(nominal(0.001, *changes), 1.0)
     ours = flown(nominal(0.000125, *changes), 1.0)[-1]

@@ -1,4 +1,4 @@
-"""US Standard Atmosphere 1976 as published, and as five tools of the NESC check cases have it."""
+"""The US Standard Atmosphere 1976 equals the published one, and that of five tools of the NESC check cases."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ THERMOSPHERE = [
 
 @pytest.mark.parametrize("row", THERMOSPHERE)
 def test_published_table_above_86_km(row):
-    """Within a unit of the last digit printed: half of one is its rounding, the rest the standard's own integration."""
+    """Values agree within a unit of the last printed digit, due to rounding and the standard's own integration."""
     km, temperature, pressure, density = row
     got = air(STANDARD, POOL, 1e3 * km)
     assert got[2] == pytest.approx(temperature, abs=1e-2)
@@ -132,7 +132,7 @@ NESC = [
 
 @pytest.mark.parametrize("row", NESC)
 def test_nesc_air(row):
-    """Tolerances: the spread of SIM 4 and SIM 5, whose pounds and slugs differ by some millionths."""
+    """The tolerances are the spread of SIM 4 and SIM 5, whose pounds and slugs differ by some millionths."""
     altitude, density, pressure, temperature, sound = row
     got = air(STANDARD, NO_POOL, altitude * FT)
     assert got[2] * 1.8 == pytest.approx(temperature, rel=1e-11)

@@ -1,7 +1,7 @@
-"""Other programs' files in place of tables: RASP motors, Missile DATCOM's for006, NASTRAN modes, read by a layout.
+"""A layout reads files of other programs as tables: RASP motors, Missile DATCOM's for006, NASTRAN modes.
 
-The samples are written here after the formats' descriptions (thrustcurve.org, "RASP file format"; W. B. Blake, Missile
-DATCOM user's manual, AFRL-VA-WP-TR-1998-3009); their numbers are made up.
+The samples follow the descriptions of the formats (thrustcurve.org, "RASP file format"; W. B. Blake, Missile DATCOM
+user's manual, AFRL-VA-WP-TR-1998-3009); their numbers are invented.
 """
 
 from __future__ import annotations
@@ -56,7 +56,10 @@ PAGE = """\
 
 
 def page(what: str, mach: float, slope_pd: float, centre: float, sideslip: float = 0.0) -> str:
-    """CN = slope alpha, its centre `centre` reference lengths ahead of the moment centre (negative: aft)."""
+    """Return a page with CN = slope alpha and its centre `centre` reference lengths ahead of the moment centre.
+
+    A negative `centre` is aft of it.
+    """
     rows = [(a, slope_pd * a, centre * slope_pd * a, 0.35 + 0.01 * mach, 0.0, 0.0, 0.0) for a in (-4.0, 0.0, 4.0, 8.0)]
     lines = "\n".join("".join(f"{v:9.3f}" for v in row) for row in rows)
     return PAGE.format(page=4, what=what, mach=mach, rows=lines, sideslip=sideslip)
@@ -120,7 +123,7 @@ def test_other_datcom_output_is_refused(text: str, says: str) -> None:
 
 @pytest.fixture
 def layout(tmp_path: Path) -> Path:
-    """Return a sounding rocket of 14 m with all three."""
+    """Return a sounding rocket of 14 m with all three formats."""
     (tmp_path / "motor.eng").write_text(MOTOR)
     (tmp_path / "for006.dat").write_text(FOR006)
     for file in NASTRAN.iterdir():

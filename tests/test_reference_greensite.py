@@ -1,6 +1,6 @@
-"""Greensite's launcher and two designs for it, by others: what they publish, and an independent model (python-control).
+"""Two published designs for Greensite's launcher have their published results, and those of an independent model.
 
-| what | against |
+| quantity | against |
 |---|---|
 | rows of the plant at 72 s | the published coefficients, to six digits |
 | margins of HM3's design and of the four vertices of its uncertainty | its table, to 0.05 dB, 0.2 deg and 1 ms |
@@ -8,9 +8,9 @@
 | growth of mode 1 with its filter reflected; roots at frozen points | linear flight with varying coefficients (SciPy) |
 | q alpha and drift of both designs in turbulence at 72 s | independent model, spectrum of MIL-F-8785C |
 | Zavoli's schedule through a wind, with varying coefficients | pitch, angle of attack and mode 1 stay small |
-| the term that HM3 leaves out, a thrust line along the bent body | independent model; 0.21 dB |
+| the term omitted in HM3, a thrust line along the bent body | independent model; 0.21 dB |
 
-The numbers are those of NASA CR-820 ff. (Greensite, 1967-70) by two public courses, with their notice in the files.
+The numbers are those of NASA CR-820 ff. (Greensite, 1967-70) from two public courses, with their notice in the files.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def test_hm3_published_these_margins(case: dict[str, str]) -> None:
 
 
 def test_the_third_vertex_has_less_margin_at_a_crossing_that_hm3_does_not_classify() -> None:
-    """A slow crossing of the drift, at 0.42 rad/s, is nearer to -1 than that of the rigid body (18 deg)."""
+    """A slow crossing of the drift at 0.42 rad/s has 18 deg, and is nearer to -1 than that of the rigid body."""
     found, phase_deg = measured(maxq_loop(point(72.0).with_(A6_1ps2=1.3, K1_1ps2=0.7), HM3))
     assert phase_deg == pytest.approx(18.0, abs=0.06)
     assert found.phase_deg.value == pytest.approx(8.73, abs=0.01)
@@ -120,7 +120,7 @@ def test_zavolis_schedule_is_stable_with_its_right_half_plane_zeros(time_s: floa
 
 @pytest.mark.parametrize("time_s", [10.0, 60.0, 110.0])
 def test_zavolis_filter_is_unstable_with_left_half_plane_zeros(time_s: float) -> None:
-    """The filter turns the phase of mode 1; with the same depth alone, the mode is unstable."""
+    """The filter turns the phase of mode 1; with the same attenuation alone, the mode is unstable."""
     law = SCHEDULE[time_s]
     assert law.notch is not None
     mirrored = dataclasses.replace(law, notch=(law.notch[0], 0.2, 0.5))
@@ -141,7 +141,7 @@ def law_at(time_s: float, zero_zeta: float = -0.2) -> oracle.Law:
 
 
 def test_mode_1_grows_as_the_roots_at_frozen_points_say() -> None:
-    """Envelope from 61 to 69 s, as the plant and the filter change; its samples bound the error to 1 %."""
+    """The envelope from 61 to 69 s follows the frozen roots as plant and filter change, to 1 % by its sampling."""
     _, states = oracle.flown(lambda t: law_at(t, 0.2), (60.0, 69.4), np.array([0.0, 0.0, 0.0, 0.0, 0.01, 0.0]))
     first, last = (np.abs(states[round((t - 60.0) / 0.02) :][:20, 4]).max() for t in (61.0, 69.0))
     roots = []
@@ -153,9 +153,10 @@ def test_mode_1_grows_as_the_roots_at_frozen_points_say() -> None:
 
 
 def test_zavolis_schedule_carries_the_vehicle_through_a_wind_with_varying_coefficients() -> None:
-    """From 10 to 150 s; a lateral wind of 10 m/s rises from 70 to 72 s and stays (docs/verification.md).
+    """From 10 to 150 s, with a lateral wind that rises to 10 m/s from 70 to 72 s, angles stay small.
 
-    The gains on the drift grow thirtyfold from 100 to 110 s: the vehicle then returns to its trajectory at once.
+    The case is that of docs/verification.md. The gains on the drift grow thirtyfold from 100 to 110 s, and the vehicle
+    then returns to its trajectory at once.
     """
     times, states = oracle.flown(
         law_at,
@@ -175,7 +176,7 @@ def test_zavolis_schedule_carries_the_vehicle_through_a_wind_with_varying_coeffi
 
 
 def test_the_thrust_line_along_the_bent_body_is_worth_a_fifth_of_a_decibel() -> None:
-    """The numbers of docs/verification.md: PD alone, with HM3's rounded gains."""
+    """The effect is 0.21 dB, as in docs/verification.md, for PD alone with HM3's rounded gains."""
     at, law = point(72.0), dataclasses.replace(HM3, k_theta=1.73, k_thetad=0.69, k_z=0.0, k_zd=0.0)
     assert at.coefficients is not None
     (mode,) = at.coefficients.modes
@@ -201,7 +202,7 @@ def test_the_thrust_line_along_the_bent_body_is_worth_a_fifth_of_a_decibel() -> 
 def test_rms_in_turbulence_is_the_integral_over_the_spectrum(
     law: oracle.Law, load_Padeg: float, drift_mps: float
 ) -> None:
-    """Lateral wind of 1 m/s over 533 m (Dryden), 0.02 to 5 Hz, through the closed loop with its exact delay."""
+    """Lateral wind of 1 m/s rms over 533 m (Dryden) acts from 0.02 to 5 Hz on the closed loop with its exact delay."""
     p = oracle.coefficients(72.0)
     hz = np.geomspace(0.02, 5.0, 4001)
     s = 2j * math.pi * hz

@@ -1,4 +1,4 @@
-"""The KSR-III data set against Lee, Ahn & Roh's tables, an earlier independent derivation, and itself."""
+"""The KSR-III data equal Lee, Ahn & Roh's tables and an earlier independent derivation, and are consistent."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def from_layout(tmp_path_factory: pytest.TempPathFactory) -> tuple:
 
 @pytest.mark.slow
 def test_the_layout_makes_the_vehicle_that_is_flown(from_layout: tuple) -> None:
-    """The tables are of an earlier programme with its own beam, liquids and ascent: within these shares."""
+    """The layout agrees within stated tolerances with tables of an earlier programme, with its own beam and ascent."""
     allowed = {
         "body: total": 1e-3, "vehicle: ": 3e-3, "body: core mass": 3e-3, "body: core transverse inertia, ": 6e-3,
         r"mode \d: frequency": 4e-3, r"mode \d: slope": 3e-2, r"mode \d: shape at surface": 2e-2,
@@ -173,7 +173,7 @@ def test_the_layout_flies_the_fitted_trajectory(from_layout: tuple) -> None:
 
 
 def test_pitch_damping_is_that_of_the_strips(from_layout: tuple) -> None:
-    """Cmq is among the tables that are given: without it the surfaces give the same, at the CG of that Mach number."""
+    """Without Cmq, which is one of the given tables, the surfaces give the same value at the CG of that Mach number."""
     built = from_layout[0]
     aero, cg = built.aero[0], built.stacks[0].mass_properties(1.0).x_cg_m
     estimate = dataclasses.replace(aero, damping=None)
@@ -229,7 +229,7 @@ def test_actuator_and_gyro_are_equations_28_and_29() -> None:
 
 
 def test_sampled_plant_with_delay_of_a_lag() -> None:
-    """x' = -x + u, held over 10 ms, 3 ms late: closed form."""
+    """x' = -x + u, held over 10 ms and 3 ms late, has its closed form."""
     lag = pitch_plane.Linear(np.array([[-1.0]]), np.array([1.0]), np.array([1.0]))
     discrete = sampled_plant(lag, 0.01, 0.003)
     assert discrete.a[0, 0] == pytest.approx(np.exp(-0.01), rel=1e-13)

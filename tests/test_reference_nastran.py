@@ -1,4 +1,4 @@
-"""Normal modes as NASTRAN's files hold them; the samples were written by pyNastran (tests/data/nastran)."""
+"""Normal modes are read from NASTRAN's files; pyNastran wrote the samples (tests/data/nastran)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_modes_of_a_beam(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["beam.op2", "beam.f06"])
 def test_a_vehicle_names_such_a_file(name: str, tmp_path: Path) -> None:
-    """Read in body axes: x forward, z down; slopes are those of the shapes, or the table would be refused."""
+    """The axes are body axes (x forward, z down), and slopes other than the shapes' are rejected."""
     for file in DATA.iterdir():
         shutil.copy(file, tmp_path)
     tree = with_stage(scenario_of(Parts()), spatial_modes={"table": name, "damping_ratio": [0.005] * 6})
@@ -105,7 +105,7 @@ def test_positions_may_stand_in_a_file_beside(tmp_path: Path) -> None:
 
 
 def test_pages_that_msc_nastran_printed() -> None:
-    """A cantilever's first bending mode, its torsion and its axial mode, from a run of MSC.Nastran 2005."""
+    """A cantilever's first bending, torsion and axial modes are read from a run of MSC.Nastran 2005."""
     modes = read_nastran(DATA / "msc2005_beam.f06")
     assert modes.frequency_hz.tolist() == [456.6603, 3554.923, 4507.487]
     assert modes.generalized_mass_kg.tolist() == [8.719168e-3, 3.668128e-3, 1.334596e-2]
@@ -156,7 +156,7 @@ def flown_with(file: Path) -> LoadedScenario:
 
 
 def test_lumped_masses_soften_the_modes_and_are_checked(tmp_path: Path) -> None:
-    """A uniform beam of 4200 kg in lumps: 300 kg/m forward of a station, and softening as the integral has it."""
+    """A uniform beam of 4200 kg in lumps has 300 kg/m forward of a station, and the softening of the integral."""
     loaded = flown_with(beside(tmp_path, GRIDS + conm2()))
     assert loaded.warnings == ()
     given = loaded.vehicle.stage[0].spatial_modes
@@ -210,7 +210,7 @@ def test_displacements_in_a_system_of_their_own_are_refused(bulk: str, tmp_path:
 
 
 def test_displacement_systems_in_the_op2(tmp_path: Path) -> None:
-    """Rejected on the axis; a point off the axis is omitted."""
+    """Displacement systems are rejected on the axis; a point off the axis is omitted."""
     data = (DATA / "beam.op2").read_bytes()
     for grid, place, left in ((104, (3.0, 0.0, 0.0), None), (900, (3.0, 1.5, 0.0), 15)):
         card = struct.pack("<ii3f3i", grid, 0, *place, 0, 0, 0)
@@ -226,7 +226,7 @@ def test_displacement_systems_in_the_op2(tmp_path: Path) -> None:
 
 
 def test_lumped_masses_in_the_op2(tmp_path: Path) -> None:
-    """Block GEOM2 in the layout of pyNastran's writer: record 1501, 15, 64 of 13 words a card."""
+    """Block GEOM2 has the layout of pyNastran's writer: record 1501, 15, 64 of 13 words per card."""
     cards = b"".join(
         struct.pack("<3i10f", 500 + n, 101 + n, 0, kg, 0.0, 0.0, 0.0, about_x, 0.0, 0.0, 0.0, 0.0, 0.0)
         for n, (kg, about_x) in enumerate(zip(LUMPS_KG, ROLLING_KGM2, strict=True))

@@ -1,4 +1,4 @@
-"""NASA's NESC check cases as ordinary scenarios, at the strict tolerances of tests/data/nesc."""
+"""NASA's NESC check cases as ordinary scenarios meet the strict tolerances of tests/data/nesc."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ WRONG = {
 
 @pytest.mark.parametrize("mistake", WRONG)
 def test_tolerances_resolve_a_small_mistake(mistake):
-    """Check that the comparison would detect a small mistake."""
+    """The comparison detects a small mistake."""
     case, override = WRONG[mistake]
     scenario, compare = ALL_CASES[case]
     assert outside(compare(fly(load_scenario(f"checkcases/{scenario}", [override]))))

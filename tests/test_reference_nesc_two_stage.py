@@ -1,8 +1,8 @@
-"""NASA's two-stage rocket (NESC check case 17) against its published models and the series of NASA's SIM 6.
+"""NASA's two-stage rocket (NESC check case 17) agrees with its published models and the series of NASA's SIM 6.
 
 | claim | against |
 |---|---|
-| NASA's SIM 6 is these models, with its own reference area and half of the dI/dt term | its published series, to 75 s |
+| NASA's SIM 6 is these models, with another area and half of the dI/dt term | its published series, to 75 s |
 | the flight is that of the models as published: ascent and coast in the air | an independent integration, to 75 s |
 | coast, separation, ignition and burnout of the second stage | the same without air, to 200 s |
 | NASA's sequence of events | its description |
@@ -39,7 +39,7 @@ SECOND = np.array([[99000, 4.79798, 111375, 941063.762626], [19000, 3.947368, 21
 
 
 class Stage:
-    """A stage of the published models: outputs by the propellant used."""
+    """A stage of the published models: outputs as functions of the spent propellant."""
 
     def __init__(
         self, rows: Vector, thrust_N: float, ignition_s: float, burn_s: float, air: bool = True, sim_6: bool = False
@@ -84,7 +84,7 @@ class Stage:
 
 @cache
 def by_the_book(until_s: float, air: bool = True, sim_6: bool = False) -> tuple[Vector, list[State]]:
-    """Integrate the published models to `until_s`; `sim_6`: with that simulation's area, dI/dt term and start."""
+    """Integrate the published models to `until_s`; `sim_6`: with the area, dI/dt term and start of that simulation."""
     rise_mps = 0.1 if sim_6 else 0.03048
     begin = start((0.0, 0.0, 0.0), (0.0, 0.0, -rise_mps), (90.0, 55.22, 0.0), (0.0, 0.0, 0.0), False)
     seconds = np.arange(0.0, until_s + 0.5, 1.0)
@@ -128,7 +128,7 @@ def apart(flight: Flight, until_s: float, air: bool = True) -> dict[str, float]:
 
 @pytest.mark.slow
 def test_flight_is_that_of_the_published_models() -> None:
-    """Compare the ascent and the coast to 75 s, where the independent atmosphere ends."""
+    """The ascent and the coast agree up to 75 s, where the independent atmosphere ends."""
     found = apart(flown(), 75.0)
     assert found["altitude"] < 1e-3
     assert found["speed"] < 1e-5
@@ -137,7 +137,7 @@ def test_flight_is_that_of_the_published_models() -> None:
 
 @pytest.mark.slow
 def test_flight_to_200_s_without_air() -> None:
-    """Compare the coast with the first stage, its separation, and ignition, burn and burnout of the second stage."""
+    """The coast with the first stage, its separation, and ignition, burn and burnout of the second stage agree."""
     airless = [f"vehicle.stage.{n}.aero.{key}=0" for n in (0, 1) for key in ("axial_factor", "force_factor")]
     found = apart(flown(*airless), 200.0, False)
     assert found["altitude"] < 1e-2
@@ -200,7 +200,7 @@ def test_events_are_those_that_nasa_describes() -> None:
     ("time_s", "altitude_m", "speed_mps"), [(37, 45.0, 0.25), (75, 175.0, 0.35), (134, 370.0, 1.1)]
 )
 def test_flight_is_near_that_of_sim_6(time_s: int, altitude_m: float, speed_mps: float) -> None:
-    """Compare with the series itself until the second ignition; its area and dI/dt term explain most of the rest."""
+    """The flight is near the series until the second ignition; area and dI/dt term explain most of the rest."""
     flight, nasa = flown(), series()
     row = int(np.searchsorted(flight.time_s("altitude_m"), time_s - 1e-6))
     speed = float(np.sqrt(sum(flight[f"v_I_{axis}_mps"][row] ** 2 for axis in "xyz")))

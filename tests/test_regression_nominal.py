@@ -1,7 +1,7 @@
-"""The nominal flight: Table 1 of the paper (others' numbers), and our own numbers as they were last looked at.
+"""The nominal flight has the numbers of Table 1 of the paper and maxq's recorded numbers.
 
-The second kind may change with the model or the vehicle's data; it must not change by accident. Whoever changes it
-on purpose looks at the pictures of docs/flights/nominal.md again and says why in the commit.
+The recorded numbers may change with the model or the vehicle's data, but not by accident. After an intended change,
+check the pictures of docs/flights/nominal.md again and give the reason in the commit.
 """
 
 from __future__ import annotations
@@ -78,14 +78,14 @@ def flown(scenario: str, changes: list[str]) -> FlightRun:
 
 @pytest.mark.parametrize("flight", BEFORE)
 def test_one_engine_on_a_stiff_mount_with_slopes_and_one_gust_flies_as_before(flight: str) -> None:
-    """Equal to the bit where the numbers were written down; another processor's sine may round otherwise."""
+    """The flight is equal to the bit where it was recorded; the sine of another processor may round differently."""
     given = BEFORE[flight]
     state = flown(given["scenario"], given["set"]).packed.state
     np.testing.assert_allclose(state[state != 0.0], given["state"], rtol=1e-9, atol=1e-12)
 
 
 def test_what_came_in_since_changes_no_bit_where_it_is_told_to_do_nothing() -> None:
-    """Engine and actuator as lists of one, every later key and switch written out."""
+    """Later keys and switches set to no effect, with engine and actuator as lists of one, change no bit."""
     stage = load_scenario("nominal").scenario.vehicle.stage[0]
     one, servo = stage.engines[0], stage.actuators[0]
     assert servo is not None

@@ -1,6 +1,6 @@
-"""The optima of the shipped cases, and a certificate, as recorded in `tests/data/optima.json`.
+"""The optima of the shipped cases, and a certificate, equal `tests/data/optima.json`.
 
-| claim | expected |
+| quantity | expected |
 |---|---|
 | objective and limits of each shipped design at its operating points | as recorded, to 0.001 dB or deg |
 | the objective in the description of its file | the recorded one, as printed |
@@ -53,7 +53,7 @@ STATED = re.compile(rf"({'|'.join(map(re.escape, KEYS))}) (-?\d+\.?\d*)( at the 
 
 
 def objectives(description: str) -> list[tuple[str, str]]:
-    """Return the objectives that a description states, without those of a search for the worst plant."""
+    """Return the objectives in a description, except those of a search for the worst plant."""
     return [(what[0].lower() + what[1:], text) for what, text, found in STATED.findall(description) if not found]
 
 

@@ -1,4 +1,4 @@
-"""The shipped design petrel-robust, of an unstable vehicle, judged by a search that did not make it.
+"""An independent search confirms the shipped design petrel-robust of an unstable vehicle.
 
 | claim | expected |
 |---|---|

@@ -1,6 +1,4 @@
-"""KSR-III with its slopes written as tables over Mach number and total angle of attack: flown, linearised, designed
-for.
-"""
+"""KSR-III with its slopes as tables over Mach number and total angle of attack flies, linearises and designs alike."""
 
 from __future__ import annotations
 
@@ -22,7 +20,7 @@ TOTAL_DEG = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0, 30.0, 45.0, 60
 
 @pytest.fixture
 def tabulated(tmp_path: Path) -> Path:
-    """A vehicle file: each surface as CN = CN_alpha sin cos, with Cm about the nose, at the surface's station."""
+    """Return a vehicle file with each surface as CN = CN_alpha sin cos at its station, with Cm about the nose."""
     vehicle = load_scenario("nominal").scenario.vehicle
     aero, chord = vehicle.stage[0].aero, vehicle.reference.chord_m
     assert aero is not None
@@ -50,7 +48,7 @@ def loaded(file: Path | str) -> LoadedScenario:
 
 
 def along_the_axis(node: Node) -> Node:
-    """Without the effects of the flown angle of attack outside the tables, mainly cross-flow."""
+    """Return the operating point without effects of the flown angle of attack outside the tables, mainly cross-flow."""
     assert abs(planar_of(node).aerodynamics.slope_pr[-1]) > 1e-3, (
         "a vehicle without tables is taken at zero angle of attack"
     )
@@ -59,7 +57,9 @@ def along_the_axis(node: Node) -> Node:
 
 @pytest.mark.slow
 def test_derivatives_and_flight_are_those_of_the_slopes(tabulated: Path) -> None:
-    """To the coarseness of the table: CN bends between its points, and pchip has its own slopes there."""
+    """Derivatives and flight agree within the table's resolution: CN is curved between points, and pchip has own
+    slopes.
+    """
     for plane in ("pitch", "yaw"):
         both = [nodes_along(loaded(name), [10.0, 30.0, 50.0], plane) for name in (tabulated, "nominal")]  # type: ignore[arg-type]  # one of the two planes
         for ours, theirs in zip(*both, strict=True):

@@ -1,6 +1,6 @@
-"""Broken input files of every kind: each loads and packs, or is answered by one line that a person can act on.
+"""Broken input files of every kind load and pack, or give a one-line error that a user can act on.
 
-The first part are inputs that once ended in a traceback; the second looks for more (file_fuzzer.py).
+The first part contains inputs that once ended in a traceback; the second searches for more (file_fuzzer.py).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The folder of compiled kernels: who may write to it, and what becomes of damaged files in it."""
+"""The folder of compiled kernels has safe permissions, and damaged files in it are replaced."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_damaged_machine_code_is_compiled_again(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_kernel_that_python_calls_is_compiled_once(tmp_path: Path) -> None:
-    """Without `from_python`: the second process does not load Numba's compiler."""
+    """Without `from_python`, the second process does not load Numba's compiler."""
     program = (
         "import sys\nfrom maxq.control.kernel.vectors import sine_cosine\n"
         "print(sine_cosine(0.0), 'scipy.linalg' in sys.modules)"
@@ -59,7 +59,7 @@ def test_a_kernel_that_python_calls_is_compiled_once(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_like_sources_elsewhere_are_compiled_once(tmp_path: Path) -> None:
-    """Another checkout, or an installed wheel, loads what has been compiled; whatever differs in a source does not."""
+    """Another checkout or an installed wheel loads the compiled code, unless a source differs."""
     cache, here = tmp_path / "cache", Path(jit.__file__).parents[2]
     assert call(cache).stdout.strip() == ANSWER
     for layer in ("control", "sim", "design"):
@@ -97,7 +97,7 @@ try:
 
 @pytest.mark.slow
 def test_workers_that_begin_together_compile_once(tmp_path: Path) -> None:
-    """And where the one that compiles fails, another does."""
+    """A single worker compiles; if it fails, another one does."""
     environment = os.environ | {"MAXQ_CACHE": str(tmp_path / "cache")}
     scripts = [COUNTED.format(fails=fails) for fails in (True, False, False, False)]
     workers = [
@@ -173,9 +173,9 @@ print(*out, len(DONE), len(SHARES) > 4 and SHARES[0] < 0.5, SHARES == sorted(SHA
 @pytest.mark.slow
 @pytest.mark.parametrize(("how", "here"), [("beside", 0), ("killed", 1), ("not allowed", 1), ("not to be had", 1)])
 def test_a_routine_compiled_by_another_process(tmp_path: Path, how: str, here: int) -> None:
-    """The same answer where that process is killed, or is not begun: then this one compiles; and from the cache.
+    """The result is the same if that process is killed or is not started, when this one compiles, and from the cache.
 
-    The finished share of the compilation never falls, and ends at 1, whichever process compiles.
+    The completed fraction never falls and ends at 1, whichever process compiles.
     """
     script = tmp_path / "beside.py"  # Numba keeps code of functions in files only
     script.write_text(BESIDE)
@@ -188,7 +188,7 @@ def test_a_routine_compiled_by_another_process(tmp_path: Path, how: str, here: i
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="other processes compile on Linux only")
 def test_a_killed_compilation_keeps_what_was_finished(tmp_path: Path) -> None:
-    """The next one needs neither another process nor this one for a routine that is there, but for a damaged one."""
+    """The next process compiles only a damaged routine, and loads the others without another process."""
     script, cache = tmp_path / "beside.py", tmp_path / "cache"
     script.write_text(BESIDE)
     assert call(cache, str(script), "interrupted").returncode == 3

@@ -1,4 +1,4 @@
-"""Faults around a campaign, caused for real: nothing is lost or counted twice, and the message names the next step."""
+"""Real faults around a campaign lose or duplicate no run, and the message names the next step."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize(("kills", "runs"), [(12, 96), pytest.param(50, 400, marks=pytest.mark.long)])
 def test_kills_and_then_the_same_data_set(tmp_path: Path, kills: int, runs: int) -> None:
-    """SIGKILL at random instants: between runs, while a part is written, renamed, or the folder is opened."""
+    """SIGKILL between runs, while writing or renaming a part, or opening the folder loses no data."""
     file = campaignkit.write_campaign(tmp_path, runs=runs)
     command = [sys.executable, str(TESTS / "killing.py"), str(file), str(tmp_path / "out"), str(kills), "1", "0.25"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
@@ -57,7 +57,7 @@ def test_kills_and_then_the_same_data_set(tmp_path: Path, kills: int, runs: int)
 
 @pytest.mark.slow
 def test_ctrl_c_and_what_a_batch_system_sends(tmp_path: Path) -> None:
-    """The command stops within seconds, says so, and the next one goes on."""
+    """The command stops within seconds with a message, and the next one continues."""
     file = campaignkit.write_campaign(tmp_path, runs=3000)
     command = [sys.executable, "-m", "maxq.tools.simrun", str(file), "--out", str(tmp_path / "out"), "--no-report"]
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -170,7 +170,7 @@ def test_a_folder_with_other_files(campaign: LoadedCampaign, tmp_path: Path) -> 
 
 @contextlib.contextmanager
 def mounted(folder: Path, options: str) -> Iterator[None]:
-    """Mount a small file system, or skip the test if mounting is not permitted."""
+    """Mount a small file system, or skip the test without permission to mount."""
     folder.mkdir()
     done = subprocess.run(
         ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)], capture_output=True, check=False
@@ -201,7 +201,7 @@ def test_a_disk_that_fills(campaign: LoadedCampaign, undisturbed: Path, tmp_path
 
 @pytest.mark.slow
 def test_files_that_may_not_grow(campaign: LoadedCampaign, undisturbed: Path, tmp_path: Path) -> None:
-    """As a full disk, where one may not mount one: the system's limit on the size of files."""
+    """The system's limit on file sizes acts like a full disk, where mounting is not permitted."""
     run_campaign(campaign.with_campaign(runs=0), tmp_path / "out")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, before[1]))
@@ -222,7 +222,7 @@ def test_a_read_only_folder(campaign: LoadedCampaign, tmp_path: Path) -> None:
 def test_a_clock_that_jumps(
     campaign: LoadedCampaign, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nothing depends on the time of day: neither the data, nor what is taken for finished."""
+    """Neither the data nor the list of completed runs depends on the time of day."""
     run_campaign(campaign.with_campaign(runs=11), tmp_path / "out")
     for path in (tmp_path / "out").rglob("*"):
         os.utime(path, (0, 0))
@@ -237,7 +237,7 @@ def test_a_clock_that_jumps(
 def test_a_run_that_breaks_is_a_row(
     campaign: LoadedCampaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
-    """Check a run that breaks as it is made, in flight, or when it is judged; the other runs are flown."""
+    """A run that fails in preparation, in flight or in judgement is a row, and the other runs are flown."""
     plain = getattr(FlightRun, where)
 
     def breaks(self: FlightRun, *rest: Any, **more: Any) -> Any:
@@ -305,7 +305,7 @@ def test_draws_out_of_bounds_are_refused_where_the_file_says_so(tmp_path: Path) 
 
 
 def test_values_that_exclude_each_other_are_drawn_again(tmp_path: Path) -> None:
-    """An engine's inertia about its gimbal bounds its mass: 46/0.38^2 = 318 kg."""
+    """The inertia of an engine about its gimbal bounds its mass: 46/0.38^2 = 318 kg."""
     campaign = campaignkit.small(tmp_path, inputs=EXCLUSIVE, runs=40)
     inputs = [campaign.inputs(run, campaign.plan.draw(0, 40)) for run in range(40)]
     masses = [i.recorded["vehicle.stage.0.engine.gimballed_mass_kg"] for i in inputs]

@@ -1,4 +1,4 @@
-"""Draws out of files, from the campaign file to the data set: ensembles of winds, samples, cases, choices of files."""
+"""Draws from files reach the data set: ensembles of winds, samples, cases, choices of files."""
 
 from __future__ import annotations
 

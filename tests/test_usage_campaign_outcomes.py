@@ -1,4 +1,4 @@
-"""The results of a campaign as people read them: the last line, the table of requirements, the report."""
+"""The results of a campaign are readable in the last line, the table of requirements and the report."""
 
 from __future__ import annotations
 

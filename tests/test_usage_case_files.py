@@ -1,4 +1,4 @@
-"""Case files: what may be written, and what is said when it is wrong."""
+"""Case files have their allowed keys and values, and errors name what is wrong."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_relaxed_limits_extend_the_identical_ones() -> None:
 
 @pytest.mark.slow
 def test_a_new_case_holds_between_its_nodes(tmp_path: Path) -> None:
-    """Also one with a single node, which has no instants but its own, and the case that simvehicle writes."""
+    """The limits hold also for a single operating point, which has no instants between, and for simvehicle's case."""
     mine = tmp_path / "mine.toml"
     mine.write_text('scenario = "nominal"\nfilter = {structure = "F2"}\nsearch = {starts = 1, leaps = 0}\n')
     instants = []

@@ -1,4 +1,4 @@
-"""docs/case-study/ says what docs/case-study.json and the designs in scenarios/designs say."""
+"""docs/case-study/ agrees with docs/case-study.json and the designs in scenarios/designs."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_sixty_optima_of_which_more_freedom_is_never_worse() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ksr3-free", "ksr3-linear", "ksr3-robust", "ksr3-sampled", "ksr3-two-phase"])
 def test_shipped_designs_meet_what_they_state(name: str) -> None:
-    """Judged by what the optimiser does not use, on the loop of their case; conditions are those of the flight now."""
+    """The limits hold by code that the optimiser does not use, on the loop of the case along the present flight."""
     design = maxq.load_design(f"designs/{name}")
     basis = stated_basis(design)
     assert basis is not None

@@ -40,7 +40,7 @@ def test_wrong_options_are_one_line(name: str, capsys: Printed) -> None:
     with pytest.raises(SystemExit) as end:
         COMMANDS[name].main(["--hlep"])
     assert end.value.code == 2
-    assert capsys.readouterr().err == f"{name}: unknown option --hlep; did you mean --help?; see {name} --help\n"
+    assert capsys.readouterr().err == f"{name}: unknown option --hlep; did you mean --help? See {name} --help\n"
 
 
 def raising(error: BaseException) -> Callable[[], int]:

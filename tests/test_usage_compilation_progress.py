@@ -1,4 +1,4 @@
-"""The progress of a compilation: a share of its estimated cost, which the bytecode of its kernels tells."""
+"""The progress of a compilation is a fraction of its cost, estimated from the bytecode of its kernels."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def whole(x: float) -> float:
 
 @compiled
 def test_an_estimate_knows_the_kernels_of_a_flight() -> None:
-    """Kernels named by other modules belong to it, and routines of other processes are parts of their own."""
+    """The estimate contains kernels of other modules, and separate parts for routines of other processes."""
     parts = Compilation("nominal", [advance.py_func])._parts
     assert {function.__name__ for function in parts} == {"advance", "derivative", "log", "sample_computer"}
     own = {function.__name__ for function in parts[advance.py_func].left}

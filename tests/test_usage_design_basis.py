@@ -1,8 +1,8 @@
-"""The basis of a design: what a case writes into its design file, and what `analyse` and `simverify` make of it.
+"""The basis of a design is written by a case and read by `analyse` and `simverify`.
 
-| what | against |
+| item | against |
 |---|---|
-| basis of a design that a case has made | limits, loop, operating points of the case, by number |
+| basis of a design from a case | limits, loop, operating points of the case, by number |
 | limits that `analyse` judges | the same |
 | limits that hold between operating points | an independent scan of ksr3-sampled: 23.79 deg at 53.75 s |
 | limits in wind, and of the integral | the case's by number; k_i / (2 pi k_p) |
@@ -84,7 +84,7 @@ def analysed(capsys: Printed, *arguments: str) -> tuple[int, list[str], dict[str
 
 
 def limits_of(record: dict[str, Any]) -> dict[str, float]:
-    """Return the limits that were judged on the loop of the basis, without stability and the other axes."""
+    """Return the limits judged on the loop of the basis, without stability and the other axes."""
     none = ("unstable_poles", "coupled")
     return {c["key"]: c["limit"] for c in record["limits"] if not c["key"].startswith(none)}
 
@@ -200,7 +200,10 @@ def test_a_shipped_robust_design_is_judged_by_all_of_its_limits() -> None:
 
 @pytest.mark.long
 def test_a_robust_design_of_three_stages_passes_its_analysis_where_its_limits_are_tight(capsys: Printed) -> None:
-    """At points where a limit is nearly reached, by the vehicle or by dispersed ones; all points are a long test."""
+    """The design passes at points where a limit is nearly reached, by the vehicle or by dispersed ones.
+
+    All points are a long test.
+    """
     times_s = (0.5, 32.0, 54.0, 111.0, 125.0, 162.0, 163.5, 400.0)
     at = [word for time_s in times_s for word in ("--at", f"{time_s}")]
     code, _, record = analysed(capsys, "petrel-robust", "--scenario", f"{petrel.folder()}/scenario.toml", *at)
@@ -218,7 +221,7 @@ def test_a_robust_design_of_three_stages_passes_its_analysis_where_its_limits_ar
     [pytest.param(name, marks=pytest.mark.long if name in LONG else []) for name in sorted(builtin_files("design"))],
 )
 def test_a_shipped_design_passes_its_own_analysis(name: str, capsys: Printed) -> None:
-    """By the command, so by every limit of its basis, and of each axis with the loops of the others closed."""
+    """The command judges every limit of the basis, and each axis with the loops of the others closed."""
     folder = petrel.folder() if name == "petrel-robust" else None
     code, lines, record = analysed(capsys, name, *([] if folder is None else ["--scenario", f"{folder}/scenario.toml"]))
     assert [(c["name"], c["worst"]) for c in record["limits"] if not c["met"]] == []
@@ -242,7 +245,7 @@ def test_a_shipped_design_passes_its_own_analysis(name: str, capsys: Printed) ->
 
 
 def again(name: str) -> list[str]:
-    """Return the words of `simdesign` by which a shipped design is made again."""
+    """Return the words of `simdesign` that make a shipped design again."""
     said = [
         line.removeprefix("# Again: simdesign ")
         for line in builtin_files("design")[name].read_text().splitlines()
@@ -258,7 +261,7 @@ def test_a_shipped_design_has_the_line_that_makes_it_or_states_its_source() -> N
 
 @pytest.mark.slow
 def test_the_given_robust_design_meets_the_dispersed_limits_of_its_case(capsys: Printed) -> None:
-    """At 50 s, which has the least gain margin of the eleven points."""
+    """The design meets them at 50 s, which has the least gain margin of the eleven points."""
     asked = read_case("ksr3-robust").case.robust
     with_basis("ksr3-robust", ("[basis.limits]", "[basis.robust]\n\n[basis.limits]"))
     code, _, record = analysed(capsys, "mine.toml", "--at", "50")
@@ -273,7 +276,7 @@ def test_the_given_robust_design_meets_the_dispersed_limits_of_its_case(capsys: 
 
 @pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_a_file_states_what_its_design_misses_between_the_operating_points(every: bool) -> None:
-    """The shares of ksr3-ringed: at the two instants in its file, and at all 240."""
+    """The file of ksr3-ringed states the shares correctly, at its two instants and at all 240."""
     text = builtin_files("design")["ksr3-ringed"].read_text()
     scenario = load_scenario("ksr3-ringed")
     assert scenario.design is not None
@@ -298,9 +301,10 @@ def test_a_file_states_what_its_design_misses_between_the_operating_points(every
     ],
 )
 def test_a_shipped_design_is_made_again_by_its_line(name: str) -> None:
-    """The numbers to 1e-4: where the search ends depends on the last bits of the linear algebra.
+    """The numbers agree to 1e-4: the end of a search depends on the last bits of the linear algebra.
 
-    Those of ksr3-ringed to 1e-3: its scenario flies the file itself, so that the first flight changes with the file.
+    For ksr3-ringed they agree to 1e-3, because its scenario flies the file itself, and the first flight changes with
+    it.
     """
     if name == "petrel-robust":
         Path("petrel").symlink_to(petrel.folder())

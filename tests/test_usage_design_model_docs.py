@@ -29,7 +29,7 @@ def test_example_runs() -> None:
 
 
 def test_departure_page_is_up_to_date() -> None:
-    """Numbers in the page within what its last digit holds; the flight differs by rounding between machines."""
+    """Numbers on the page agree to their last digit; flights on different machines differ by rounding."""
     ours, page = (re.findall(r"-?\d+\.\d+", text) for text in (table_text(*compare()), PAGE.read_text("utf-8")))
     assert len(ours) == len(page)
     np.testing.assert_allclose(np.array(ours, float), np.array(page, float), atol=0.11)

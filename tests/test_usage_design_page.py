@@ -1,4 +1,4 @@
-"""The page of `simdesign`: what it holds, in which planes, and how large it is."""
+"""The page of `simdesign` has the expected content and planes, and a limited size."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def words(page: str) -> str:
 
 
 def outcome(path: Path) -> tuple[str, ...]:
-    """Return the tone, the word and the reason of a page's outcome."""
+    """Return the tone, word and reason of a page's outcome."""
     (found,) = re.findall(r'<div class="outcome (\w+)"><b>(.*?)</b><p>(.*?)</p>', path.read_text(encoding="utf-8"))
     return tuple(map(html.unescape, found))
 

@@ -1,4 +1,4 @@
-"""The log of several engines."""
+"""The log of several engines has their channels."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ def test_unstable_discrete_section(a: tuple[float, float]) -> None:
 
 
 def test_any_number_of_sections_flies() -> None:
-    """Sections that are 1 change nothing but rounding; the default F4 with six of them still flies."""
+    """Sections equal to 1 change only rounding; the default F4 with six of them flies."""
     short = ["run.duration_s=20", "run.step_s=0.001"]
     plain = load_scenario("nominal", short)
     assert plain.design is not None

@@ -1,4 +1,4 @@
-"""First gains of a layout are stable along their own flight, or the build says where they are not."""
+"""First gains of a layout are stable along their flight, or the build names the failures."""
 
 from __future__ import annotations
 
@@ -36,8 +36,9 @@ def fastest_growth_1ps(folder: Path, count: int = 37) -> float:
 def test_first_gains_that_do_not_hold_their_flight_are_replaced(
     name: str, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By formula the heavy launcher is unstable at three of nine times, and the student rocket loses control (its
-    gimbals stay too weak for 5 deg of angle of attack).
+    """By formula the heavy launcher is unstable at three of nine times, and the student rocket loses control.
+
+    After the replacement, its gimbals remain too weak for 5 deg of angle of attack.
     """
     formula = checked(layoutkit.folder(name))
     assert not formula.hold

@@ -1,4 +1,4 @@
-"""Flight code from outside at work: what a person gets to see when it fails, and when a log is flown again."""
+"""External flight code gives clear messages when it fails and when a log is flown again."""
 
 from __future__ import annotations
 
@@ -234,7 +234,7 @@ def test_a_wrong_name_is_told_in_a_line(capsys: Printed, computer: dict[str, str
 
 
 def test_the_hash_covers_all_files_of_the_code(tmp_path: Path) -> None:
-    """The modules that a file can import; in a package or of sources, all files; one file alone has its own hash."""
+    """The hash covers modules that a file can import, or all files of a package or sources."""
     law, helper, other = tmp_path / "law.py", tmp_path / "gains" / "__init__.py", tmp_path / "notes.txt"
     law.write_text("class Autopilot: ...\n", encoding="utf-8")
 
@@ -286,7 +286,7 @@ def test_the_hash_covers_linked_folders_and_compiled_modules(tmp_path: Path) -> 
 
 
 def test_flight_code_runs_from_its_source_and_not_from_a_cache(tmp_path: Path) -> None:
-    """A compiled module that claims to be valid for any source would run in place of the source that is hashed."""
+    """A compiled module that claims validity for any source is not run instead of the hashed source."""
     law, gains = tmp_path / "law.py", tmp_path / "gains.py"
     law.write_text("import gains\nGAIN = gains.GAIN\n", encoding="utf-8")
     gains.write_text("GAIN = 1.0\n", encoding="utf-8")
@@ -408,7 +408,7 @@ void maxq_fsw_close(void *self) { (void)self; }
 
 @needs_compiler
 def test_one_process_flies_flight_after_flight_and_each_begins_anew(tmp_path: Path) -> None:
-    """Check that the memory of a library ends with its flight; a thread of it or a crash ends the process with it."""
+    """The memory of a library ends with its flight; a thread or a crash of it ends the process."""
     (tmp_path / "own.c").write_text(REMEMBERING)
     sound, crashing = (
         compiled(tmp_path, tmp_path / "own.c", f"own{n}", f"-DCRASHES={n}", "-D_GNU_SOURCE", "-pthread") for n in (0, 1)
@@ -432,7 +432,7 @@ def test_one_process_flies_flight_after_flight_and_each_begins_anew(tmp_path: Pa
 @pytest.mark.slow
 @needs_compiler
 def test_flights_on_threads_have_a_process_each(tmp_path: Path) -> None:
-    """Sixteen flights, four at a time, every third crashes: the others are as alone."""
+    """In sixteen flights, four at a time, every third crashes; the others equal single flights."""
     (tmp_path / "own.c").write_text(REMEMBERING)
     libraries = [compiled(tmp_path, tmp_path / "own.c", f"own{n}", f"-DCRASHES={n}", "-D_GNU_SOURCE") for n in (0, 1)]
     scenarios = [load_scenario("nominal", ["run.duration_s=0.1", *flies(library=library)]) for library in libraries]

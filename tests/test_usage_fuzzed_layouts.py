@@ -1,6 +1,6 @@
-"""Layouts drawn at random about the vehicles of the documents: each is refused in a line, or built and flown.
+"""Random layouts near the documented vehicles are rejected with one line, or built and flown.
 
-A few in every run; `MAXQ_LAYOUTS=200 make test ARGS="-k fuzzed_layouts"` draws as many.
+A few run in every test run; `MAXQ_LAYOUTS=200 make test ARGS="-k fuzzed_layouts"` draws 200.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ G = 9.80665
 
 
 def about(value: float, factor: float = 1.5) -> st.SearchStrategy[float]:
-    """Within a factor of a value, to four digits."""
+    """Return values within a factor of a value, to four digits."""
     return st.floats(value / factor, value * factor).map(lambda x: float(f"{x:.4g}"))
 
 

@@ -1,4 +1,4 @@
-"""Operating points of published derivatives and of matrices: files, commands, Python, and one-line errors."""
+"""Operating points from published derivatives and from matrices work in files, commands and Python."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""maxq changes nothing for other code in its process: Numba, garbage collector and interpreter stay as they were."""
+"""maxq leaves Numba, garbage collector and interpreter unchanged for other code in its process."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from maxq.sim.scenario.loader import load_scenario
 
 
 def process_wide() -> dict[str, Any]:
-    """Return what a library could have changed for others."""
+    """Return the process-wide settings that a library could change."""
     return {
         "get_call_type": BaseFunction.get_call_type,
         "from_struct_dtype": numpy_support.from_struct_dtype,
@@ -36,7 +36,7 @@ def process_wide() -> dict[str, Any]:
 
 
 def test_numba_is_as_it_came() -> None:
-    """After the import of all that this file names, which compiles and loads kernels."""
+    """Numba is unchanged after this file's imports, which compile and load kernels."""
     fly(load_scenario("nominal", ["run.duration_s=1"]), log=False)
     found = process_wide()
     assert found["get_call_type"].__module__ == "numba.core.types.functions"
@@ -46,7 +46,7 @@ def test_numba_is_as_it_came() -> None:
 
 
 def test_a_compilation_takes_its_changes_back() -> None:
-    """Check a compilation that ends well, and one that fails half-way."""
+    """A compilation restores all settings, whether it succeeds or fails half-way."""
     before = process_wide()
 
     @kernel

@@ -1,4 +1,4 @@
-"""Names and texts from files are shown as they are: they do nothing to a page, a picture or a terminal."""
+"""Names and texts from files appear unchanged, and have no effect on a page, a picture or a terminal."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ _FIRST = {"table": "caption", "details": "summary"}  # elements that must come f
 
 
 class Heard(HTMLParser):
-    """A page as a screen reader announces it: elements without a name, a caption or a scope are faults."""
+    """A page as a screen reader announces it; elements without a name, a caption or a scope are faults."""
 
     def __init__(self, page: str) -> None:
         super().__init__()
@@ -187,7 +187,7 @@ def test_a_page_that_cannot_be_heard_is_found() -> None:
 
 
 def test_a_page_that_acts_is_found() -> None:
-    """The check can fail."""
+    """A page with active content is found, so the check can fail."""
     assert Page(f"<td>{SCRIPT}</td>").acts == ["script", "img src=x", "img onerror=alert(1)"]
     assert Page(f"<script>{OURS}alert(1)</script>").acts == ["script"]
 

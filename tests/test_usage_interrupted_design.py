@@ -1,4 +1,4 @@
-"""An interrupted `simdesign CASE` of several stages, or of dispersed vehicles: it claims what was checked, no more."""
+"""An interrupted `simdesign CASE` of several stages or of dispersed vehicles claims only what it checked."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Stop = Callable[[int, str, int], bool]
 
 
 def interrupted(loaded, stop: Stop):
-    """Return the design of a case that is interrupted where `stop` says so."""
+    """Return the design of a case that is interrupted where `stop` raises."""
     calls: list[tuple[int, str]] = []
 
     def progress(stage: int, number: int):
@@ -59,9 +59,10 @@ SAID = (
 def test_stages_that_were_not_designed_are_named(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Interrupt the design of petrel's three stages in the second. One test, because the design takes a minute.
+    """The design of petrel's three stages, interrupted in the second, names the stages without a design.
 
-    The first stage meets its limits between its nodes, the second was not tried there; both meet them at their nodes.
+    The first stage meets its limits between its operating points; the second was not checked there; both meet them at
+    their points. This is a single test, because the design takes a minute.
     """
     path = petrel.folder() / "interrupted.toml"
     path.write_text(STAGES)
@@ -128,7 +129,7 @@ ROBUST = (
 
 @pytest.mark.long
 def test_a_robust_design_names_what_was_not_searched() -> None:
-    """Before the first search of the worst vehicles; after one, when vehicles were added and the design is another."""
+    """The message is right before the first search of worst vehicles, and after one that added vehicles."""
     loaded = kit.case(*ROBUST, name="ksr3-robust")
     searches = {
         "worst plants, round 1": lambda stage, what, calls: what == "worst plants, round 1",

@@ -1,6 +1,6 @@
-"""New layouts go from a layout to a verdict, and their margins survive an evaluation by other equations.
+"""New layouts reach a verdict, and their margins agree with other equations.
 
-| what | against |
+| item | against |
 |---|---|
 | margins of a design of `simdesign` at every operating point | d'Alembert's equations, sampled by matrix exponentials |
 | a stage after a coast of an unstable airframe | its response is measured in flight |
@@ -61,14 +61,15 @@ def test_margins_of_first_gains_are_those_of_other_equations(name: str) -> None:
 
 @pytest.mark.long
 def test_margins_of_the_shipped_design_of_petrel_are_those_of_other_equations() -> None:
-    """At every third row of its gains; `test_reference_ksr3_data` evaluates the default design of KSR-III likewise."""
+    """The margins agree at every third row of its gains; `test_reference_ksr3_data` evaluates KSR-III's."""
     assert compare(petrel.folder(), builtin_files("design")["petrel-robust"], every=3) > 6.45
 
 
 @pytest.mark.slow
 def test_a_stage_after_an_unstable_coast_is_measured_in_flight() -> None:
-    """The stub's upper stage coasts for three seconds, in which a disturbance grows 262 times: what excites the stage
-    before it would end in a tumble.
+    """The stub's upper stage coasts for three seconds, in which a disturbance grows 262 times.
+
+    An excitation of the stage before it would end in a tumble.
     """
     folder = layoutkit.folder("stub")
     (found,) = in_flight_response(load_scenario(folder / "scenario.toml"), [165.0], "pitch")
@@ -99,7 +100,7 @@ def test_from_layout_to_verdict(name: str, tmp_path: Path, monkeypatch: pytest.M
 def test_shipped_launchers_are_designed_through_separations_and_tail_offs(
     name: str, stages: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The parts of a burn without operating points are short, 8 % at most of a stage's thrust."""
+    """The parts of a burn without operating points are at most 8 % of a stage's thrust time."""
     monkeypatch.chdir(tmp_path)
     assert simvehicle.main([name, "--out", name]) == 0
     assert simdesign.main([f"{name}/case.toml", "--out", "made", "--no-pictures"]) == 0

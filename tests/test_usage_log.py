@@ -1,4 +1,4 @@
-"""Use and misuse of the log: channel tables, wrong arrays, wrong files."""
+"""The log rejects wrong channel tables, wrong arrays and wrong files."""
 
 from __future__ import annotations
 
@@ -190,7 +190,7 @@ def test_a_full_disk_is_a_log_error() -> None:
 
 
 def test_a_disk_that_fills_up_keeps_the_chunks_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first write of the third chunk takes a part of it only, the next one none."""
+    """When the third chunk is written only in part, and the next one not at all, the chunks before it stay readable."""
     path = tmp_path / "a.mcap"
     log = LogWriter(path, TABLE, HEAD)
     rows = {second: FAST[0] // SECOND == second for second in range(3)}

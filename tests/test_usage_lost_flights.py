@@ -1,4 +1,4 @@
-"""A flight that is lost gives no operating points after the loss: for nodes, `simdesign` and measured margins."""
+"""A lost flight gives no operating points after the loss, in nodes, `simdesign` and measured margins."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_spans_end_at_the_loss_that_the_flight_reports() -> None:
 
 @pytest.mark.parametrize("name", ["control_lost", "tumble", "diverged"])
 def test_each_loss_ends_all_spans(name: str) -> None:
-    """Check two stages: the first is lost while it burns, or the second before it is ignited."""
+    """A loss during a burn ends its span; a loss before an ignition leaves only the spans of earlier stages."""
     flown = [
         Event("ignition", 0, 1),
         Event("liftoff", 0),
@@ -87,7 +87,7 @@ def designed(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, Path, str]:
 
 @pytest.mark.long
 def test_a_case_is_designed_along_the_flight_of_its_own_design(designed: tuple[int, Path, str]) -> None:
-    """Points reach to burnout though the first flight does not, and every limit holds along the design's own flight."""
+    """The points extend to burnout although the first flight does not, and every limit holds along them."""
     code, out, text = designed
     assert code == 0, text
     loss = powered_flight(layoutkit.lost_scenario())[1]
@@ -125,7 +125,7 @@ def test_an_analysis_of_a_lost_flight_says_so(capsys: pytest.CaptureFixture[str]
 
 @pytest.mark.long
 def test_a_verification_takes_its_nodes_from_the_flight_of_the_design(designed: tuple[int, Path, str]) -> None:
-    """The suite's own scenario is lost: nodes are on the flight of the design that is judged."""
+    """The suite's scenario is lost, so the operating points are on the flight of the judged design."""
     suite = read_suite(layoutkit.lost() / "suite.toml").suite
     along = flight_of(suite, (designed[1] / "design.toml").as_posix(), None)
     assert powered_flight(along)[1] is None

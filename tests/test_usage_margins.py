@@ -1,4 +1,4 @@
-"""Edges of the margins: no gain, no crossing, poles on the axis, what cannot be measured, lobes by name."""
+"""Margins are right without gain, without a crossing, with poles on the axis and with named lobes."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_no_crossing_at_all():
 
 
 def test_an_unstable_loop_shows_no_margin_but_how_far_it_is():
-    """(s + 0.8) / 2 / (s^2 - 1): s^2 + s/2 - 0.6."""
+    """The loop (s + 0.8) / 2 / (s^2 - 1) has the closed-loop polynomial s^2 + s/2 - 0.6 and no margins."""
     m = margins(TransferLoop([0.5, 0.4], [1.0, 0.0, -1.0]))
     growth = -0.25 + np.sqrt(0.0625 + 0.6)
     assert (m.stable, m.unstable_poles, m.encircled_poles) == (False, 1, 1)
@@ -76,7 +76,7 @@ def test_a_closed_loop_pole_on_the_axis_is_not_stable():
 @pytest.mark.parametrize("zeta", [0.0, 1e-12, 1e-10, 1e-8, 1e-5])
 @pytest.mark.parametrize(("rate", "unstable"), [(0.05, 0), (-0.05, 2)])
 def test_an_undamped_mode_is_passed_on_the_right(zeta, rate, unstable):
-    """A mode without damping, driven in and out of phase with its rate, on a damped lag."""
+    """A mode without damping, driven in and out of phase with its rate on a damped lag, is passed on the right."""
     loop = ModalLoop.of([(-1.0, 2.0)], [(7.0, zeta, rate, 0.0)])
     m = margins(loop)
     assert (m.unstable_poles, m.encircled_poles) == (unstable, unstable)
@@ -93,7 +93,7 @@ def test_two_undamped_modes_at_one_frequency():
 
 
 def test_hidden_integrators_are_drift():
-    """The pole at zero that a zero hides is in both lists of poles, and no instability."""
+    """A pole at zero that a zero hides is in both lists of poles and is not an instability."""
     m = margins(TransferLoop(np.array([2.0, 0.0]), [1.0, 3.0, 3.0, 1.0, 0.0]))
     assert m.stable
     assert m.gain_up_db.value == pytest.approx(20.0 * np.log10(4.0), abs=1e-7)
@@ -101,7 +101,9 @@ def test_hidden_integrators_are_drift():
 
 @pytest.mark.parametrize("level", [0.5, 0.99, 1.5, -0.5, -1.5])
 def test_a_loop_that_stays_level(level):
-    """(level s + 1) / (s + 1): |L| ends at |level|; from 1 on no delay is survived, from -1 on no closed loop."""
+    """For (level s + 1) / (s + 1), |L| tends to |level|: at 1 or above no delay is tolerated, at -1 or below L is
+    unstable.
+    """
     m = margins(TransferLoop([level, 1.0], [1.0, 1.0]))
     assert m.stable == (level > -1.0)
     if level == -0.5:
@@ -118,7 +120,7 @@ def test_an_improper_loop_is_refused(order):
 
 
 class Odd:
-    """A loop that answers wrongly."""
+    """A loop with invalid results."""
 
     highest_hz = 50.0
 
@@ -160,7 +162,7 @@ def test_zones_that_are_none(shape, phase, gain):
 
 
 def test_lobes_are_named_and_judged():
-    """A loop with a phase-stabilised mode at 7 rad/s and a gain-stabilised one at 20 rad/s."""
+    """A loop with a phase-stabilised mode at 7 rad/s and a gain-stabilised one at 20 rad/s has both by name."""
     parts = [(7.0, 0.005, 0.05, 0.0), (20.0, 0.01, -0.012, 0.0)]
     loop = ModalLoop.of([(-1.0, 2.0)], parts)
     named = [resonance("bending", 1, 7.0, 0.005), resonance("bending", 2, 20.0, 0.01), resonance("gyro", 0, 3.0, 0.2)]
@@ -187,7 +189,7 @@ def test_lobes_are_named_and_judged():
 
 @pytest.mark.parametrize("rate", [12.0, 9.0])
 def test_lag_and_lead_of_a_lobe_that_lies_above_0_db(rate):
-    """Without a crossing inside the lobe they are the least over its points, here of a much denser curve."""
+    """Without a crossing inside the lobe, they are the least over its points, here of a much denser curve."""
     loop = ModalLoop.of([(-0.5, 100.0)], [(7.0, 0.02, rate, 0.0)])
     (lobe,) = margins(loop, resonances=[resonance("slosh", 1, 7.0, 0.02)]).lobes
     hz = np.linspace(lobe.low_hz, lobe.high_hz, 200_001)
@@ -201,7 +203,7 @@ def test_lag_and_lead_of_a_lobe_that_lies_above_0_db(rate):
 
 
 def test_a_conditionally_stable_lobe():
-    """An unstable mode that the loop damps: less gain and it is unstable again."""
+    """For an unstable mode that the loop damps, less gain is unstable again."""
     loop = ModalLoop.of([(-1.0, 0.5)], [(7.0, -0.01, 0.2, 0.0)])
     m = margins(loop)
     (lobe,) = m.lobes

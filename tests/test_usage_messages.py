@@ -1,4 +1,4 @@
-"""Messages that once led astray: each says now what helps."""
+"""Messages that were misleading name the right cause and the next step."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_every_wrong_cell_and_row_is_named() -> None:
 
 
 def test_a_description_tells_what_was_changed() -> None:
-    """`nominal` in wind said "no wind"."""
+    """A description states changes: `nominal` in wind must not read "no wind"."""
 
     def described(*overrides: str) -> str:
         loaded = maxq.load("nominal", *overrides)

@@ -1,4 +1,4 @@
-"""Mode tables that cannot be right are refused, those that are unlikely are warned of; good ones pass in silence."""
+"""Impossible mode tables are rejected, unlikely ones give a warning, and good ones pass silently."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def beam(n: int) -> tuple[np.ndarray, np.ndarray]:
 def rows(
     change: Callable[[dict[str, float]], None] = lambda row: None, times: tuple[float, ...] = (0.0, 50.0)
 ) -> list[Tree]:
-    """Return rows for two times of a uniform beam of 4200 kg; `change` alters a row."""
+    """Return rows of a uniform beam of 4200 kg at given times; `change` alters a row."""
     out = []
     for time_s in times:
         for n in range(3):
@@ -103,7 +103,7 @@ def test_impossible_shapes_are_refused(change: Callable[[dict[str, float]], None
 @pytest.mark.parametrize("share", [1.0, 0.05], ids=["as large", "a twentieth"])
 @pytest.mark.parametrize("key", ["theta_z_pm", "theta_y_pm"])
 def test_a_flipped_slope_in_one_of_two_planes_is_refused(key: str, share: float) -> None:
-    """A mode that bends in both planes: the larger one must not hide that the other's slope is flipped."""
+    """In a mode that bends both planes, the larger component does not hide a flipped slope of the other."""
     tree = spatial(rows())
     small, large = ("y", "z") if key == "theta_z_pm" else ("z", "y")
     for row in tree["vehicle"]["stage"][0]["spatial_modes"]["table"]:
@@ -118,7 +118,7 @@ def test_a_flipped_slope_in_one_of_two_planes_is_refused(key: str, share: float)
 
 
 def test_modes_that_twist_need_no_inertia_about_the_axis() -> None:
-    """With masses alone nothing is said of them; with an inertia that is wrong they are refused."""
+    """With masses alone, torsion is not checked; with a wrong inertia it is rejected."""
     tree = spatial(rows())
     table = tree["vehicle"]["stage"][0]["spatial_modes"]["table"]
     for row in table:
@@ -139,7 +139,7 @@ def test_masses_at_the_stations_must_fit() -> None:
 
 
 def test_a_warning_names_the_modes_that_are_not_orthogonal() -> None:
-    """Mode 3 with 0.4 of mode 1: their product is 0.4 and mode 3 has 1.16 times its mass, apart from lumping."""
+    """For mode 3 with 0.4 of mode 1, the product is 0.4 and mode 3 has 1.16 times its mass, apart from lumping."""
     tree = spatial(rows())
     table = tree["vehicle"]["stage"][0]["spatial_modes"]["table"]
     first = [row for row in table if row["mode"] == 1]
@@ -188,7 +188,7 @@ MASSES |= {
 @pytest.mark.parametrize("make", [planar, spatial])
 @pytest.mark.parametrize("interpolation", ["pchip", "linear"])
 def test_modes_over_mass_are_those_over_time(make: Callable[[list[Tree]], Tree], interpolation: str) -> None:
-    """Rows at masses of the stage fly as rows at the times at which it has them, to the bit."""
+    """Rows over the stage's mass fly to the bit like rows over the times of those masses."""
     section, keys = ("bending", ("pitch", "yaw")) if make is planar else ("spatial_modes", ("table",))
     given = {}
     for over in ("time_s", "total_mass_kg"):
@@ -211,7 +211,7 @@ def test_modes_over_mass_are_those_over_time(make: Callable[[list[Tree]], Tree],
 
 
 def test_a_mass_between_the_rows_is_met_on_the_joined_curve() -> None:
-    """Half way of a straight fall; and while the mass stands still before ignition, at its end."""
+    """The time is half-way on a straight fall, and the end of an interval of constant mass before ignition."""
     tree = planar([])
     table = rows(times=(0.0, 1.0, 2.0))
     for row in table:
@@ -240,7 +240,7 @@ def test_modes_over_mass_that_are_refused(change: Callable[[dict[str, float]], N
 
 
 def test_the_second_vehicle_is_checked_likewise(tmp_path: Path) -> None:
-    """Petrel: slopes turned round, a length of another vehicle, a node before liftoff."""
+    """Petrel's checks find flipped slopes, the length of another vehicle, and a node before liftoff."""
     lines = (petrel.folder() / "vehicle" / "stage1_modes.csv").read_text().splitlines()
     first = next(n for n, line in enumerate(lines) if line.startswith("time_s"))
     column = lines[first].split(",").index("slope_pm")

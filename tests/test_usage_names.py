@@ -1,4 +1,4 @@
-"""Built-in names mean the shipped files in every working folder; a file of the user is named by a path."""
+"""Built-in names mean the shipped files in every working folder; a path names a user's file."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def _calm() -> None:
-    """Leave a wind table of the shipped one's name and a tenth of its speed in the working folder."""
+    """Write a wind table with the shipped one's name and a tenth of its speed to the working folder."""
     Path("winds").mkdir()
     rows = [line for line in (scenarios_folder() / WIND).read_text().splitlines() if not line.startswith("#")]
     cells = [row.split(",") for row in rows[1:]]

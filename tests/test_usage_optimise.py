@@ -1,6 +1,4 @@
-"""The results of the optimiser for cases of all kinds: infeasible, interrupted, at the edges; and that its designs
-fly.
-"""
+"""The optimiser handles infeasible, interrupted and limiting cases, and its designs fly."""
 
 from __future__ import annotations
 
@@ -24,7 +22,7 @@ from maxq.sim.scenario.loader import to_toml
 
 @pytest.mark.long
 def test_more_freedom_is_never_worse() -> None:
-    """With a smaller problem's answer among its starts: from two-phase to free, from F2 to F4."""
+    """With a smaller problem's solution among the starts, two-phase to free and F2 to F4 are never worse."""
     plants, order = kit.all_nodes(), [("F2", "two-phase"), ("F2", "linear"), ("F3", "linear"), ("F4", "linear")]
     order.append(("F4", "free"))
     peaks: list[float] = []
@@ -61,7 +59,7 @@ def test_a_filter_of_higher_order_can_be_the_same() -> None:
 
 @pytest.mark.long
 def test_infeasible_limits_are_named() -> None:
-    """F2 cannot leave both 10 dB and 60 deg: the answer says which limits conflict, where, and by how much."""
+    """F2 cannot meet both 10 dB and 60 deg; the message names the limits in conflict, the place and the violation."""
     loaded = kit.case("filter.structure=F2", "limits.gain_margin_db=10", "limits.phase_margin_deg=60")
     s = solve(loaded, kit.all_nodes())
     assert s.status == "infeasible"
@@ -123,7 +121,7 @@ def test_a_design_that_was_not_interrupted_claims_its_instants() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("stop_at", [1, 3])
 def test_a_design_that_was_interrupted_claims_no_instants(stop_at: int) -> None:
-    """Interrupted in the first search, or in the second, after instants were added: its own instants were not tried."""
+    """Interrupted in the first search, or in the second with added instants, the design claims no untested instants."""
     loaded, calls = kit.case(*HELD), []
 
     def stop(done: int, total: int, best_db: float, what: str) -> None:

@@ -1,4 +1,4 @@
-"""The outcome of a flight as people read it: decisive numbers in the last line, engineering units, folders, hints."""
+"""The outcome of a flight has decisive numbers in its last line, engineering units, folders and hints."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_a_vehicle_that_tumbles_after_burnout_is_named_in_the_verdict() -> None:
 
 
 def test_apogee_and_perigee_are_given_only_where_they_mean_something() -> None:
-    """Osculating, above the equatorial radius: below the ground for a flight that does not reach space."""
+    """Osculating heights above the equatorial radius are below the ground for a flight that does not reach space."""
     low = fly(load_scenario("nominal", ["run.duration_s=14.0"]), log=False)
     assert low.metrics["apogee_altitude_m"] < 0.0
     assert "apogee" not in report(low, [], 1.0)
@@ -123,7 +123,7 @@ def test_apogee_and_perigee_are_given_only_where_they_mean_something() -> None:
 
 
 def test_a_flight_without_thrust_has_an_outcome(capsys: pytest.CaptureFixture[str]) -> None:
-    """Its warnings divided by no thrust, and the command died after the flight."""
+    """A flight without thrust ends with an outcome, although its warnings would divide by zero thrust."""
     words = ["nominal", "--set", "vehicle.stage.0.engine.thrust_factor=0", "--set", "run.duration_s=0.5"]
     assert simrun.main([*words, "--out", "out", "--no-log"]) == 0
     said = capsys.readouterr().out

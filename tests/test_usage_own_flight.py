@@ -1,10 +1,10 @@
-"""A case designed until its design passes its own analysis: each axis with the loops of the others closed.
+"""A case is designed until its design passes its own analysis, each axis with the loops of the others closed.
 
 | claim | expected |
 |---|---|
 | margins of each axis along the design's own flight, others closed | the limits of the case, by `multiloop_margins` |
 | limits that hold between the operating points | also every 0.25 s of the design's own flight |
-| limits that the design states | those of the case, not those that the search was held to |
+| limits that the design states | those of the case, not the tighter ones of the search |
 | a limit that no design meets with the other axes closed | named; the design is that of the round before |
 | a limit that the roll loop misses | named; no further round |
 """
@@ -31,7 +31,7 @@ CASE = (f"nodes_s={list(TIMES_S)}", "loop=sampled", "filter.structure=F2", "sear
 
 @pytest.mark.long
 def test_a_design_keeps_its_limits_with_the_other_axes_closed() -> None:
-    """Phase margin on its limit at 55 s: the search is held to more, and the design states the limits of its case."""
+    """The phase margin is at its limit at 55 s: the search has a tighter limit, and the design states the case's."""
     made = design_case(kit.case(*CASE))
     assert made.feasible
     scenario = with_design(kit.case(*CASE).scenario, made.design)
@@ -59,7 +59,7 @@ def test_a_design_keeps_its_limits_with_the_other_axes_closed() -> None:
 
 @pytest.mark.long
 def test_limits_that_hold_between_the_points_hold_at_the_instants_of_the_own_flight() -> None:
-    """Every 0.25 s, of each axis alone and with the others closed."""
+    """The limits hold every 0.25 s, for each axis alone and with the others closed."""
     given = (*(c for c in CASE if not c.startswith("nodes_s")), "nodes_s=[45.0, 55.0]", "between_nodes='hold'")
     loaded = kit.case(*given)
     made = design_case(loaded)
@@ -93,7 +93,7 @@ def test_what_the_roll_loop_misses_takes_no_further_round(monkeypatch: pytest.Mo
 
 
 def _with_less(monkeypatch: pytest.MonkeyPatch, key: str, less_db: float, of: str = "") -> None:
-    """Take decibels from a margin with the other axes closed; `of`: the check that serves as it."""
+    """Reduce a margin with the other axes closed by some dB; `of`: the check that represents it."""
 
     def measured(*arguments: Any) -> list[Check]:
         found = multiloop_checks(*arguments)

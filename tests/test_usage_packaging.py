@@ -1,4 +1,4 @@
-"""The set-up: pyproject.toml, constraints.txt and the Makefile agree with the files on the disk."""
+"""pyproject.toml, constraints.txt and the Makefile agree with the files on disk."""
 
 import ast
 import os
@@ -23,13 +23,13 @@ PIN = re.compile(r"([A-Za-z0-9._-]+)==([A-Za-z0-9.+!]+)")
 
 
 def modules():
-    """All modules of the four layers (tools/.ns holds links to them for type checkers, and no modules)."""
+    """Yield all modules of the four layers; tools/.ns contains only links to them, for type checkers."""
     for layer in LAYERS:
         yield from (p for p in (ROOT / layer).rglob("*.py") if ".ns" not in p.parts)
 
 
 def make(*arguments):
-    """Run make as a person would, outside of any make that runs the tests."""
+    """Run make as a user would, outside any make that runs the tests."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("MAKE", "MFLAGS"))}
     return subprocess.run(["make", *arguments], cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
 
@@ -48,7 +48,7 @@ def test_every_package_maps_to_its_folder():
 
 
 def test_no_layer_can_shadow_another_package():
-    """With an __init__.py, `import control` from the top of the checkout would be the flight software."""
+    """No layer has an __init__.py, with which `import control` in the checkout would import the flight software."""
     assert [p for layer in LAYERS for p in (ROOT / layer).rglob("__init__.py")] == []
 
 
@@ -70,7 +70,7 @@ def test_links_for_type_checkers_lead_to_the_layers():
 
 
 def pinned_versions():
-    """Return the version that constraints.txt pins of each package, by its canonical name."""
+    """Return the version of each package that constraints.txt pins, by canonical name."""
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     matches = [PIN.fullmatch(line) for line in lines if not line.startswith("#")]
     assert all(matches), "constraints.txt holds comments and NAME==VERSION, nothing else"
@@ -167,7 +167,7 @@ PAPER_MODE = {
 
 
 def _said(file: Path) -> list[str]:
-    """Return the texts of a file: for Python its strings without docstrings, for other sources the whole."""
+    """Return the texts of a file: the strings of a Python file without docstrings, other sources whole."""
     text = file.read_text(encoding="utf-8")
     if file.suffix != ".py":
         return [text]
@@ -182,7 +182,7 @@ def _said(file: Path) -> list[str]:
 
 @pytest.mark.slow
 def test_nothing_of_one_vehicle_is_said_by_the_code():
-    """Only its own data, the paper's mode and examples name the first vehicle, its place or its source."""
+    """Only data, the paper's mode and examples name the first vehicle, its site or its source."""
     suffixes = {".py", ".j2", ".html", ".css", ".js", ".c", ".h"}
     files = [f for top in (*LAYERS, "api") for f in sorted((ROOT / top).rglob("*")) if f.suffix in suffixes]
     shipped = [f for f in files if not {"dev", ".ns"} & set(f.relative_to(ROOT).parts)]

@@ -1,4 +1,4 @@
-"""Imports point one way (tools -> design -> sim -> control), and kernels know neither files nor people."""
+"""Imports follow one direction (tools -> design -> sim -> control), and kernels import no files or user interface."""
 
 import ast
 import graphlib
@@ -47,7 +47,7 @@ def lint_imports(root):
 
 @pytest.fixture
 def copy(tmp_path):
-    """A copy of the layers, to put mistakes into."""
+    """Return a copy of the layers for planted mistakes."""
     for layer in ("control", "sim", "design", "tools", "api"):
         if (ROOT / layer).exists():
             shutil.copytree(ROOT / layer, tmp_path / layer, symlinks=True)
@@ -63,7 +63,7 @@ def test_imports_point_one_way():
 
 @pytest.mark.slow
 def test_no_file_imports_another_that_imports_it():
-    """Import-linter orders packages; a cycle within one is found here."""
+    """No two files import each other; import-linter checks packages, and this test cycles within one."""
     graph = imports_of(ROOT)
     assert sum(map(len, graph.values())) > 1000
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError, which names the cycle
@@ -71,7 +71,7 @@ def test_no_file_imports_another_that_imports_it():
 
 @pytest.mark.slow
 def test_no_layer_imports_the_public_api():
-    """For import-linter it is maxq.api, so that an import of maxq itself would pass."""
+    """No layer imports maxq.api, which import-linter would not see in an import of maxq itself."""
     assert [module for module, found in imports_of(ROOT).items() if "maxq" in found] == []
 
 
@@ -84,7 +84,7 @@ def test_a_cycle_of_files_is_found(copy):
 
 
 def test_no_layer_names_a_higher_one_in_a_string():
-    """Importing by name at run time would pass import-linter."""
+    """No layer imports a higher one by name at run time, which import-linter would not see."""
     found = [
         f"{path.relative_to(ROOT)}: {name}"
         for n, layer in enumerate(LAYERS)

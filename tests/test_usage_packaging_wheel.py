@@ -1,4 +1,4 @@
-"""maxq installed from a wheel, in an empty folder: its content, and flights of what it brings along."""
+"""maxq installed from a wheel in an empty folder is complete and flies its scenarios."""
 
 import json
 import os
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 
 def run(command, folder):
-    """Run a command away from the checkout, with no help from this process's settings."""
+    """Run a command outside the checkout, without the settings of this process."""
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "NUMBA", "VIRTUAL_ENV"))}
     return subprocess.run(
         [str(part) for part in command], cwd=folder, env=clean, capture_output=True, text=True, check=False
@@ -44,7 +44,7 @@ def build_wheel(source, folder):
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
-    """A copy of what is packaged: building leaves nothing in the checkout and takes nothing stale from it."""
+    """Return a copy of the packaged files, so that building does not read or change the checkout."""
     folder = tmp_path_factory.mktemp("source")
     for name in PACKAGES:
         if (ROOT / name).exists():
@@ -62,9 +62,9 @@ def wheel(source, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory):
-    """The bin folder of an environment with maxq from the wheel; all else is lent by the running one.
+    """Return the bin folder of an environment with maxq from the wheel and other packages from the running one.
 
-    A .pth file does so: the .pth files over there, which lead to an editable maxq, are then not read.
+    A .pth file provides them, and .pth files there, which lead to an editable maxq, are not read.
     """
     folder = tmp_path_factory.mktemp("environment")
     succeed([sys.executable, "-m", "venv", "--without-pip", folder], folder)

@@ -1,4 +1,4 @@
-"""Pictures: equal when what they show is equal, and no notebook's settings are touched."""
+"""Pictures are equal for equal content, and a notebook's settings are unchanged."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ import petrelkit as petrel
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Annotation, Text
 from picture_check import faults
 from replaykit import OLD_LOG
 
@@ -31,7 +32,7 @@ from maxq.tools.pages.render import _environment, command, render, sentence
 from maxq.tools.plots import campaign, style
 from maxq.tools.plots.figures import Panel, Plot, as_csv, as_json, at, band, limit, line, points, thinned
 from maxq.tools.plots.palette import RED
-from maxq.tools.plots.style import STYLE, curve, drawing, label, name_point, save, sheet
+from maxq.tools.plots.style import STYLE, curve, drawing, label, name_point, save, settle, sheet
 from maxq.tools.replay import sheets
 from maxq.tools.replay.flight import open_flights
 
@@ -75,7 +76,7 @@ def test_curves_differ_in_more_than_colour() -> None:
 
 
 def test_names_of_points_find_places_of_their_own() -> None:
-    """Twenty names of a dense curve, among them some in the same place."""
+    """Twenty names on a dense curve, some at the same point, have separate places."""
     with drawing():
         figure, (place,) = sheet(1, 1)
         x = np.linspace(0.0, 10.0, 400)
@@ -88,9 +89,38 @@ def test_names_of_points_find_places_of_their_own() -> None:
     assert not faults(figure)
 
 
+def test_leaders_of_names_do_not_cross() -> None:
+    """Names of neighbouring points far from free space have leaders that cross neither each other nor a spike."""
+    with drawing():
+        figure, (place,) = sheet(1, 1)
+        place.set(xlim=(0.0, 10.0), ylim=(0.0, 10.0))
+        for k in range(12):  # a hatched area without room for a name
+            place.plot([6.4 + 0.3 * k] * 2, [0.0, 6.0], color="C0")
+        for k, x in enumerate((8.0, 8.3, 8.6, 8.9)):
+            name_point(place, x, 3.0 + 0.4 * (k % 2), f"a long name {k}")
+        label(place, "time, s", "value", "a title")
+        settle(figure)
+        leaders = [
+            np.array([place.transData.transform(t.xy), Text.get_window_extent(t).get_points().mean(axis=0)])
+            for t in place.texts
+            if isinstance(t, Annotation) and t.arrow_patch is not None and t.arrow_patch.get_visible()
+        ]
+    assert len(leaders) == 4
+    assert not any(_crosses(a, b) for k, a in enumerate(leaders) for b in leaders[:k])
+
+
+def _crosses(a: np.ndarray, b: np.ndarray) -> bool:
+    """Return True if two segments (2, 2) cross, by the parameters of their intersection."""
+    try:
+        s, t = np.linalg.solve(np.stack([a[1] - a[0], b[0] - b[1]], axis=1), b[0] - a[0])
+    except np.linalg.LinAlgError:
+        return False
+    return bool(0.0 < s < 1.0 and 0.0 < t < 1.0)
+
+
 @pytest.mark.long
 def test_pictures_of_the_second_vehicle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sheets of its flight to the second stage, its design's pictures at two nodes; conftest.py looks at each."""
+    """Sheets to the second stage and design pictures at two operating points are drawn; conftest.py checks each."""
     drawn = []
 
     def kept(figure: Figure, stem: Path) -> list[Path]:
@@ -120,7 +150,7 @@ def test_pictures_of_the_second_vehicle(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_flight_sheets_name_axes_and_panels_in_one_form(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`name, unit` on axes, and a capital letter first in titles, except for the symbol q."""
+    """Axes are `name, unit`, and titles begin with a capital letter except for the symbol q."""
     axes: list[Axes] = []
 
     def kept(figure: Figure, _: Path) -> list[Path]:
@@ -149,7 +179,7 @@ def test_a_text_over_another_and_a_clipped_one_are_found() -> None:
 
 @pytest.mark.parametrize("name", ["-6 dB", "3 dB", "6 dB"])
 def test_contours_are_those_of_the_closed_loop(name: str) -> None:
-    """On an M contour |L / (1 + L)| is that of its name; at -180 deg L = -M / (M +- 1)."""
+    """On an M contour |L / (1 + L)| equals its label; at -180 deg L = -M / (M +- 1)."""
     (phase, level), *_ = [(p, d) for text, p, d in contours() if text == name]
     loop = 10.0 ** (level / 20.0) * np.exp(1j * np.radians(phase))
     m_db = float(name.removesuffix(" dB"))
@@ -162,7 +192,7 @@ def test_contours_are_those_of_the_closed_loop(name: str) -> None:
 
 
 def test_a_loop_is_drawn_with_its_margins_near_minus_one() -> None:
-    """Half of the loop on the unit circle: a gain margin of 6.02 dB at -0.5, and 60 deg at the unit circle."""
+    """Half of a loop through the unit circle has a gain margin of 6.02 dB at -0.5 and 60 deg at the unit circle."""
     hz = np.geomspace(0.1, 10.0, 201)
     curve = 0.5 * np.exp(-1j * np.pi * hz)
     crossing, nearest = np.exp(1j * np.radians(-120.0)), -0.6 - 0.3j
@@ -304,7 +334,10 @@ def test_a_thinned_curve_stays_within_a_share_of_its_range() -> None:
 
 
 def test_only_a_short_place_of_a_requirement_stays_on_one_line() -> None:
-    """A place of 197 characters on one line made the table of requirements 2038 pixels wide."""
+    """A long place of a requirement is broken into lines.
+
+    On one line, a place of 197 characters makes the table of requirements 2038 pixels wide.
+    """
     cell: Any = _environment().get_template("elements.html.j2").module
     short, long = "at 106.79 s, pitch, stage 1, as flown it", "at 53.8 s, yaw; sigmas: slope of mode 1 <"
     assert (len(short), len(long)) == (40, 41)

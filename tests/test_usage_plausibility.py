@@ -1,4 +1,4 @@
-"""Possible but implausible values are flown, with a warning that names key, value and the usual range."""
+"""Possible but implausible values fly, with a warning that names key, value and the usual range."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def implausible(warnings: tuple[str, ...]) -> list[str]:
-    """Without those about the mode tables, which are made up."""
+    """Return the warnings without those about the invented mode tables."""
     return [warning for warning in warnings if "implausible" in warning or "not expected" in warning]
 
 
@@ -42,7 +42,7 @@ def test_what_is_usual_is_not_warned_of() -> None:
 
 
 def test_the_sphere_of_the_check_cases_is_none() -> None:
-    """NESC's sphere of 6 inches and 1 slug has the inertia of one of 13 feet: as published, and said."""
+    """The published NESC sphere of 6 inches and 1 slug has the inertia of one of 13 feet, and the warning names it."""
     assert [warning[: len(SPHERE)] for warning in load_scenario("checkcases/nesc-01").warnings] == [SPHERE]
 
 

@@ -1,4 +1,4 @@
-"""`make lint` counts faults of the English in pages, docstrings, comments and messages, and accepts no new ones."""
+"""`make lint` counts faults of English in pages, docstrings, comments and messages, and accepts no new ones."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ OTHER = "Pair = tuple[int, int]\n\nPlane = dict[str, float]\n"
 
 
 def found(kind: str, **files: str) -> list[Finding]:
-    """Return what a check finds in a page and two modules."""
+    """Return the findings of a check in a page and two modules."""
     modules = {f"{name}.py": (text, ast.parse(text)) for name, text in files.items() if name != "page"}
     pages = {"page.md": files["page"]} if "page" in files else {}
     return list(CHECKS[kind](Sources(pages, modules)))
@@ -112,7 +112,7 @@ def test_a_number_must_equal_its_record_and_only_falls() -> None:
 def test_words_of_the_documentation_are_bounded(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """Tables and code count, their bars and signs do not; what is written from the code does not."""
+    """Words of tables and code count, without their bars and signs; generated text does not count."""
     page = "# Title\n\n| a | b2 |\n|---|---|\n\n    x <= 3\n<!-- from code: keys -->\nno word\n<!-- end of code -->\n"
     pages = {"README.md": page, "docs/howto/a.md": page, "docs/reference/b.md": page, "CONTRIBUTING.md": page}
     assert documentation_words(pages) == 2 * 5

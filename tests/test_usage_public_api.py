@@ -1,4 +1,4 @@
-"""The public API: names and signatures are those of tests/data/public_api.txt, and docs/python.md lists them.
+"""The public API has the names and signatures of tests/data/public_api.txt, and docs/python.md lists them.
 
 After a change that docs/python.md allows: `python tests/test_usage_public_api.py > tests/data/public_api.txt`.
 """
@@ -44,7 +44,7 @@ def signature(name: str, member: Any) -> str:
 
 
 def lines() -> Iterator[str]:
-    """Yield the public API, a line for each name and each documented member."""
+    """Yield the public API, one line per name and documented member."""
     page = documented()
     for name in sorted(maxq.__all__):
         public = getattr(maxq, name)

@@ -1,4 +1,4 @@
-"""maxq from Python (api/): tables, files, plots, one line a thing."""
+"""maxq works from Python (api/): tables, files and plots take one line each."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_topics_go_by_name_in_flights_and_logs(flight: Flight) -> None:
 
 
 def test_a_csv_file_holds_every_bit(flight: Flight) -> None:
-    """Two rates: the slower channel is empty between its times."""
+    """With two rates, the slower channel is empty between its times, and every bit is kept."""
     slow = next(n for n in flight.channels if flight.table.topic(n).group != flight.table.topic("mach").group)
     path = flight.to_csv("flight.csv", "mach", slow)
     with path.open(newline="") as file:

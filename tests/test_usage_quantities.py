@@ -1,6 +1,6 @@
-"""The table of loop quantities: one meaning of a key in cases, suites, judge, margin sweep and optimiser.
+"""Each key of a loop quantity has one meaning in cases, suites, judge, margin sweep and optimiser.
 
-| what | against |
+| item | against |
 |---|---|
 | keys of cases and suites | the table |
 | values of the judge | those of simverify's linear part, and `Margins` |

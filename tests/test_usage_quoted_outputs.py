@@ -1,4 +1,4 @@
-"""Outputs that the documentation quotes: how they are renewed, and that they are up to date."""
+"""Outputs quoted in the documentation are up to date and can be renewed."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def _page(path: Path) -> object:
-    """Return the name of a page with its marks."""
+    """Return a page name with its marks."""
     name = path.relative_to(ROOT).as_posix()
     marks = [pytest.mark.long] if name in LONG else []
     marks += [needs_compiler] if "flight-code" in name else []
@@ -57,7 +57,7 @@ def _page(path: Path) -> object:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [_page(path) for path in pages()])
 def test_quoted_outputs_are_up_to_date(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Run the quoted commands again, except those of minutes on pages that are not long themselves.
+    """Quoted commands give their quoted output, except commands of minutes on pages that are not long tests.
 
     To renew the pages: python -m maxq.tools.dev.documents.outputs
     """
@@ -66,7 +66,7 @@ def test_quoted_outputs_are_up_to_date(name: str, capsys: pytest.CaptureFixture[
 
 
 def test_the_example_of_a_verdict_is_accepted() -> None:
-    """The README quotes the whole suite for a shipped design on the scenario for which it is designed."""
+    """The README quotes the whole suite for a shipped design on the scenario of its design, which is accepted."""
     blocks = re.findall(r"^```console\n\$ simverify (\S+) --suite (\S+)\n(.*?)^```\n", README, re.M | re.S)
     accepted = [(design, suite) for design, suite, shown in blocks if "\nACCEPTED: " in shown]
     whole = [command for command in outputs.LONG if command.startswith("simverify ")]

@@ -1,4 +1,4 @@
-"""Logs of maxq in other viewers: Rerun alone, and Foxglove with the shipped layout."""
+"""Logs of maxq open in other viewers: Rerun alone, and Foxglove with the shipped layout."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ FOXGLOVE_PANELS = {"3D", "Plot", "RosOut"}
 
 
 def values(node: Any, key: str) -> Iterator[Any]:
-    """Return all values of a key anywhere in a tree."""
+    """Yield all values of a key anywhere in a tree."""
     if isinstance(node, dict):
         for name, value in node.items():
             if name == key:
@@ -97,7 +97,7 @@ def test_the_foxglove_layout_has_panels_that_foxglove_knows() -> None:
 
 
 def test_the_foxglove_scene_stands_upright() -> None:
-    """A camera that follows the body takes over how the body lies when the log is opened: on its tail."""
+    """The vehicle is upright at the first view, because a camera that follows the body takes its initial attitude."""
     layout = json.loads(FOXGLOVE.read_text(encoding="utf-8"))
     scene = layout["configById"]["3D!scene"]
     assert (scene["followTf"], scene["followMode"]) == ("launch_site", "follow-none")

@@ -1,4 +1,4 @@
-"""No viewer outlives the command that needed it: however the command ends, be it by SIGKILL."""
+"""No viewer outlives the command that started it, even after SIGKILL."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def viewers_of(process: subprocess.Popen[bytes]) -> list[psutil.Process]:
 
 
 def is_viewer(process: psutil.Process) -> bool:
-    """Return True for the viewer itself, not for its short set-up process."""
+    """Return True for the viewer, but not for its short set-up process."""
     try:
         return process.name().startswith("rerun") and "--bind" in process.cmdline()
     except psutil.Error:
@@ -75,7 +75,7 @@ def test_a_viewer_ends_with_its_command(way: str, by: signal.Signals, tmp_path: 
 
 
 def test_a_viewer_ends_with_a_killed_test() -> None:
-    """As pytest does it: in a `with` block that is never left."""
+    """A viewer ends when pytest is killed inside a `with` block."""
     code = "import time; from maxq.tools.replay import viewer\nwith viewer.headless(): time.sleep(600)"
     with subprocess.Popen([sys.executable, "-c", code]) as process:
         viewers = viewers_of(process)

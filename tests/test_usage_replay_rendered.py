@@ -1,10 +1,10 @@
-"""The images of the viewer: rendered without a window, in software if there is no graphics card.
+"""The viewer renders its images without a window, in software without a graphics card.
 
-| what | how it is checked |
+| claim | check |
 |---|---|
-| every view of the layout draws what it is given | no view reports an error, tab by tab, at several times |
-| something is to be seen | no picture is blank; the close-up differs from time to time |
-| the picture is what it was | small grey copies are compared with kept ones, within a tolerance for other drivers |
+| every view of the layout draws its data | no view reports an error, tab by tab, at several times |
+| the picture has content | no picture is blank; the close-up differs from time to time |
+| the picture is unchanged | small grey copies are compared with stored ones, within a tolerance for other drivers |
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ source = "a test"
 def test_a_run_of_a_campaign_is_flown_again_and_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`simrun refly DIR --run N --view`: the same window as `simreplay` of its log."""
+    """`simrun refly DIR --run N --view` opens the same window as `simreplay` with its log."""
     monkeypatch.chdir(tmp_path)
     assert simrun.main(["--copy", "nominal", "."]) == 0
     Path("short.toml").write_text(CAMPAIGN, encoding="utf-8")

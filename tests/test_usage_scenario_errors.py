@@ -62,16 +62,16 @@ def test_a_file_that_is_not_there(here: Path) -> None:
 
 
 def test_a_name_that_is_neither_a_file_nor_ours(here: Path) -> None:
-    """Not with a list of all names, which are many."""
+    """A name that is neither a file nor built in is rejected without the long list of all names."""
     assert said_of("zzz") == (
         "zzz: neither a file nor a built-in scenario; allowed: a scenario file (.toml), "
         "or a built-in scenario (simrun --list names them)"
     )
-    assert said_of("nominla") == "nominla: no such file; did you mean nominal?; allowed: a scenario file (.toml)"
+    assert said_of("nominla") == "nominla: no such file; did you mean nominal? Allowed: a scenario file (.toml)"
 
 
 def test_a_file_that_is_nearly_there(here: Path) -> None:
-    """Check that a suggestion is next to the named place, or is a built-in file of that name."""
+    """The suggestion is next to the named place, or a built-in file of that name."""
     for key, asked, meant in (
         ("design", "designs/trail.toml", "designs/trial.toml"),
         ("vehicle", "vehicles/rockte", "vehicles/rocket"),
@@ -81,7 +81,7 @@ def test_a_file_that_is_nearly_there(here: Path) -> None:
         ("wind.profile", "anheung-november", "winds/anheung-november.csv"),
     ):
         line = said_of("ascent.toml", f"{key}={asked}")
-        assert line.startswith(f'--set: {key} = "{asked}": no such file; did you mean {meant}?; allowed: '), line
+        assert line.startswith(f'--set: {key} = "{asked}": no such file; did you mean {meant}? Allowed: '), line
     assert "no such file; allowed: " in said_of("ascent.toml", "design=no/such/folder.toml")
     assert "no such file; allowed: " in said_of("ascent.toml", "wind.profile=zzz.csv")
 

@@ -1,4 +1,4 @@
-"""The meaning of a valid scenario: defaults, files, extends, overrides, the text that flies again."""
+"""A valid scenario has defaults, files, extends and overrides, and its text flies again."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def test_gains_of_the_yaw_axis(ascent: Path) -> None:
 
 
 def test_products_of_inertia_take_part_in_the_check(ascent: Path) -> None:
-    """Ixz is the integral of x z: 735 * 65893 leaves room for 1000, not for 7000 (kg m2)."""
+    """Ixz is the integral of x z: 735 * 65893 allows 1000, but not 7000 (kg m2)."""
     path = ascent.parent / "vehicles/rocket/mass.csv"
     header, *rows = TABLES["mass.csv"].splitlines()
     path.write_text("\n".join([f"{header},Ixz_kgm2", *(f"{row},100" for row in rows)]))
@@ -217,7 +217,7 @@ def test_extends_across_three_files(ascent: Path) -> None:
 
 
 def test_appended_lists_follow_those_of_the_extended_files(ascent: Path) -> None:
-    """Each file of a chain appends; a table is entered, a missing list is created, another key replaces."""
+    """Each file of a chain appends; a table is merged, a missing list created, and another key replaced."""
     first = '[[append.requirement]]\nmetric = "range_m"\nminimum = 1.0\n[append.run]\nstop_at = ["apogee"]\n'
     (ascent.parent / "b.toml").write_text(f'extends = "ascent"\n{first}')
     second = '[[append.requirement]]\nmetric = "max_slosh_deg"\nlimit = 3.0\n'
@@ -486,7 +486,7 @@ def test_periods() -> None:
 
 @pytest.mark.parametrize(("name", "old", "new"), [("mass.csv", "4400", "4500"), ("vehicle.toml", "0.785", "0.795")])
 def test_a_file_that_changes_is_read_again(ascent: Path, name: str, old: str, new: str) -> None:
-    """Also one of the same length, and with the texts of equal files read once."""
+    """A file that changes is read again, also at the same length; equal files are read once."""
     (path,) = ascent.parent.rglob(name)
     text = path.read_text()
     assert old in text

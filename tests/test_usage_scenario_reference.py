@@ -1,4 +1,4 @@
-"""The exported reference and JSON Schemas say what the loader does."""
+"""The exported reference and JSON Schemas agree with the loader."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_the_command_prints_the_schema(kind: str, capsys: pytest.CaptureFixture[
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_key_has_a_meaning(kind: str) -> None:
-    """Every key with a value of its own is described, so that reference and editors can say what it is."""
+    """Every key with a value has a description for the reference and for editors."""
     schema = json_schema(kind)
     for name, section in {"": schema, **schema["$defs"]}.items():
         for key, value in section["properties"].items():

@@ -1,4 +1,4 @@
-"""Section loads in scenarios: what is refused and in which words, and where they appear in a flight."""
+"""Section loads in scenarios reject wrong input with clear messages, and appear in flights."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_section_loads_of_spatial_modes_are_evaluated() -> None:
 
 
 def test_a_campaign_judges_section_loads(tmp_path: Path) -> None:
-    """Their metrics are columns of each run and of requirements."""
+    """Metrics of section loads are columns of each run and can be required."""
     bound = "[switches]\nsection_loads = true\n"
     bound += "".join(f'[[requirement]]\nmetric = "max_section_compression_N"\nlimit = {n}\n' for n in (1e9, 1.0))
     campaign = campaignkit.small(tmp_path, runs=4, rest=bound)
@@ -178,7 +178,7 @@ def test_section_loads_leave_the_flight_alone(flights: tuple[Flight, ...]) -> No
 
 @pytest.mark.slow
 def test_extremes_are_those_of_the_log(flights: tuple[Flight, ...]) -> None:
-    """The log has a row at each instant at which extremes are gathered: every 2 ms."""
+    """The log has a row at each instant of the extremes: every 2 ms."""
     flight = flights[2]
     assert len(flight.section_extremes) == 16 * len(KINDS)
     time_s = flight.time_s("section_1_axial_N")

@@ -1,4 +1,4 @@
-"""`simdesign CASE`: what it leaves, prints and returns. Small problems: two nodes, F2, few starts."""
+"""`simdesign CASE` writes, prints and returns its results, here for two operating points, F2 and few starts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def run(*arguments: str) -> int:
-    """Return the exit code of the command, also where argparse ends it."""
+    """Run the command and return its exit code, also when argparse ends it."""
     try:
         return simdesign.main(list(arguments))
     except SystemExit as end:

@@ -1,4 +1,4 @@
-"""`simdesign analyse` and `simdesign errata`: what they print, leave and return."""
+"""`simdesign analyse` and `simdesign errata` print, write and return their results."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def run(*arguments: str) -> int:
-    """Return the exit code of the command, also where argparse ends it."""
+    """Run the command and return its exit code, also when argparse ends it."""
     try:
         return simdesign.main(list(arguments))
     except SystemExit as end:
@@ -278,7 +278,7 @@ def test_examples_of_the_documentation_run(number: int) -> None:
 
 
 def test_axes_that_a_product_of_inertia_couples_are_judged_together(capsys: Printed) -> None:
-    """With Ixy^2 = 0.42 Ixx Iyy a core free to roll pitches as if it had 0.58 of its inertia; no plane sees it."""
+    """With Ixy^2 = 0.42 Ixx Iyy, a core free to roll pitches with 0.58 of its inertia, which no single plane shows."""
     text = builtin_files("design")["ksr3-default"].read_text()
     Path("mine.toml").write_text(text.replace("gain_margin_db = 6.0", "gain_margin_db = 8.0"))
     shutil.copytree(ROOT / "scenarios" / "vehicles" / "ksr3", "tilted")

@@ -1,4 +1,4 @@
-"""`simdesign CASE... --verify` and `try_in_order`: candidates are tried, best first, until one is accepted."""
+"""`simdesign CASE... --verify` and `try_in_order` try candidates, best first, until one is accepted."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _in_an_empty_folder(tmp_path: Path, memory: Path, monkeypatch: pytest.Monkey
 
 @pytest.fixture
 def _design_once(designed: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Design a case when the first test asks for it; the others take over the result."""
+    """Design a case when the first test needs it, and reuse the result."""
     design_case = run_case.design_case
 
     def remembered(loaded: Any, *rest: Any) -> Any:
@@ -75,7 +75,7 @@ def _run(*arguments: str) -> int:
 @pytest.mark.slow
 @pytest.mark.usefixtures("_design_once")
 def test_second_candidate_is_accepted_when_the_first_fails(capsys: Printed) -> None:
-    """The relaxed case has the lower peak of mode 1, so it goes first; its aerodynamic margin is 9.4 dB."""
+    """The relaxed case has the lower peak of mode 1 and is first; its lower gain margin is 9.4 dB, and it fails."""
     assert _run(*CASES, *SMALL, "--verify", "--suite", _suite(10.0), "--out", "out") == 0
     said = capsys.readouterr().out.splitlines()
     table = said[said.index("candidates in order of merit") :]
@@ -101,9 +101,7 @@ def test_none_accepted_says_what_each_failed(capsys: Printed) -> None:
 
 @pytest.mark.long
 def test_designs_are_tried_until_one_is_accepted() -> None:
-    """Check three designs of which the second is accepted (rigid phase margins 38 and 61 deg): the third is not
-    examined.
-    """
+    """The second of three designs is accepted (rigid phase margins 38 and 61 deg); the third is not examined."""
     told: list[str] = []
     kept: list[str] = []
     designs = ("ksr3-two-phase", "ksr3-robust", "ksr3-default")

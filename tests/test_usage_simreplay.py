@@ -1,4 +1,4 @@
-"""The files, output and exit codes of `simreplay`: without a viewer, on the kept log and on broken ones."""
+"""`simreplay` writes, prints and returns its results without a viewer, for the stored log and broken ones."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def run(*arguments: object) -> int:
-    """Return the exit code of the command, also where argparse ends it."""
+    """Run the command and return its exit code, also when argparse ends it."""
     try:
         return simreplay.main([str(argument) for argument in arguments])
     except SystemExit as end:
@@ -148,7 +148,7 @@ def test_summary_fits_the_terminal_and_does_without_blocks() -> None:
 @pytest.mark.parametrize("most", [7, 15])
 @pytest.mark.parametrize("span", [(-0.09, 0.09), (-20.5, 3.2), (0.0, 13.0), (4.1, 4.9), (-1e-7, 2e-6), (80.0, 1400.0)])
 def test_every_axis_has_two_numbers(span: tuple[float, float], most: int) -> None:
-    """Multiples of the smallest power of ten of which `most` fit, whole at the edges; no more room than that takes."""
+    """At least two multiples of the smallest power of ten of which `most` fit are on an axis, away from its edges."""
     low, high = span
     bottom, top = with_scale(low, high, most)
     assert bottom <= low < high <= top
@@ -160,7 +160,7 @@ def test_every_axis_has_two_numbers(span: tuple[float, float], most: int) -> Non
 
 
 def test_a_glance_shows_every_pendulum() -> None:
-    """Check the second vehicle with a second slosh mode in one tank: three pendulums, by name."""
+    """The second vehicle with a second slosh mode in one tank shows three pendulums by name."""
     loaded = petrel.scenario("vehicle.stage.0.tank.0.modes=2")
     table = logged_channels(loaded.scenario, pack_flight(loaded.scenario).sizes)
     plots = [plot for tab in tabs_of(table, loaded.scenario) for plot in tab.plots if plot.key == "slosh/pitch"]
@@ -224,7 +224,7 @@ def test_plots_are_parted_by_stages_and_legends_stand_aside_of_curves() -> None:
 def test_a_legend_too_large_for_a_plot_names_the_flights_whose_curves_differ_in_width(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The aerodynamic panels of three flights, with nine curves each, had no legend."""
+    """A legend names the curves; with several flights it names the flights, or is omitted if it does not fit."""
     tab = next(tab for tab in tabs_of(open_flight(OLD_LOG).log.table, None) if tab.name == "Loads")
     plots = {plot.key.removeprefix("loads/"): plot for plot in tab.plots}
     legends = [{key: legend_of(tab, plot, n) for key, plot in plots.items()} for n in (1, 3, 6, 7)]
@@ -250,7 +250,7 @@ def test_a_legend_too_large_for_a_plot_names_the_flights_whose_curves_differ_in_
 
 
 def test_pictures_show_the_plots_of_the_part_with_their_times() -> None:
-    """A picture at 150 s showed the first stage, which ends at 120 s."""
+    """A picture at 150 s shows the stage of that time, not the first stage, which ends at 120 s."""
     parts = [(0.0, 4.0), (4.0, 10.0), (0.0, 10.0)]
     assert [part_with(parts, times) for times in ((), (1.0,), (5.0,), (3.0, 5.0), (20.0,))] == [0, 0, 1, 2, 2]
 
@@ -302,7 +302,7 @@ def test_of_many_flights_a_few_are_in_memory_and_plots_are_families(monkeypatch:
 
 
 def test_a_failed_flight_is_red_among_few_and_many_and_its_verdict_comes_first() -> None:
-    """Three flights had the colours of a list, in which the third is green, passed or not."""
+    """A failed flight is red whatever its place in the list of colours, and its verdict comes first."""
     failed = open_flight(OLD_LOG)
     passed = replace(failed, summary={"passed": True})
     colours = colours_of([passed, passed, failed, failed])

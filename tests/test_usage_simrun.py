@@ -1,4 +1,4 @@
-"""The files, output and exit codes of `simrun`: in this process, with built-in scenarios cut short."""
+"""`simrun` writes, prints and returns its results, here for shortened built-in scenarios."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def run(*arguments: str) -> int:
-    """Return the exit code of the command, also where argparse ends it."""
+    """Run the command and return its exit code, also when argparse ends it."""
     try:
         return simrun.main(list(arguments))
     except SystemExit as end:
@@ -372,7 +372,7 @@ def test_nothing_heavy_is_imported_without_need(option: str) -> None:
 
 @pytest.mark.slow
 def test_a_flight_needs_nothing_of_scipy() -> None:
-    """Importing its interpolators took longer than the flight."""
+    """A flight does not import SciPy, whose interpolators take longer to import than the flight."""
     code = (
         "import sys\nfrom maxq.tools.simrun import command\n"
         f"command.alone = True\ncommand.main({[*SHORT, '--no-log']})\n"

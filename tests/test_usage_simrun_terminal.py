@@ -1,4 +1,4 @@
-"""`simrun` as a process: terminals, pipes, signals, limits of the system."""
+"""`simrun` as a process handles terminals, pipes, signals and system limits."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled() -> None:
-    """No process of these tests has to compile."""
+    """Compile in advance for all processes of these tests."""
     fly(load_scenario("nominal", ["run.duration_s=0.01"]), log=False)
 
 
 def wait_for(path: Path, size: int, process: subprocess.Popen[str]) -> None:
-    """Until a growing file has this size."""
+    """Wait until a growing file has this size."""
     end = time.monotonic() + 60.0
     while not (path.exists() and path.stat().st_size > size):
         assert process.poll() is None, "ended by itself"
@@ -126,7 +126,7 @@ def test_letters_that_the_terminal_lacks_are_no_error() -> None:
     ],
 )
 def test_the_process_ends_with_the_commands_exit_code_and_all_its_words(arguments: list[str], code: int) -> None:
-    """The process leaves in a hurry (tools/simrun.py, `command`): nothing may be lost on the way."""
+    """The quick exit of the process (tools/simrun.py, `command`) loses no output and keeps the exit code."""
     simrun = Path(sys.executable).with_name("simrun")
     for how in ([str(simrun)], SIMRUN):
         done = subprocess.run([*how, *arguments], capture_output=True, text=True, check=False)
@@ -143,7 +143,7 @@ def test_a_reader_that_leaves_before_the_end_changes_nothing_on_stderr() -> None
 
 
 def on_a_terminal(arguments: list[str]) -> tuple[str, int]:
-    """Return the output of a command on a terminal, and its exit code."""
+    """Return the terminal output of a command, and its exit code."""
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
         [*SIMRUN, *arguments], stdin=theirs, stdout=theirs, stderr=theirs, env=os.environ | {"TERM": "xterm"}

@@ -1,4 +1,4 @@
-"""The documentation site: built without a warning, no broken link, nothing from elsewhere; its examples are files."""
+"""The documentation site builds without warnings, broken links and external content, and its examples are valid."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SOURCES = [page for page in sorted(DOCS.rglob("*.md")) if "build" not in page.pa
 
 
 class Page(HTMLParser):
-    """Anchors, links and what the browser would fetch of a page."""
+    """The anchors, links and fetched resources of a page."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -58,7 +58,7 @@ def built(folder: Path, *settings: str) -> Path:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the pages of the site, whose notebooks are shown but not executed."""
+    """Return the pages of the site with notebooks shown but not executed."""
     return built(tmp_path_factory.mktemp("site"), "nb_execution_mode=off", "suppress_warnings=myst-nb.lexer")
 
 
@@ -94,7 +94,7 @@ def test_the_site_stands_by_itself(site: Path) -> None:
 
 
 def test_links_between_sources_lead_somewhere() -> None:
-    """For readers of the repository, who have no site."""
+    """Links between sources work for readers of the repository."""
     for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *SOURCES]:
         text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
         for target in re.findall(r"\]\(([^)\s]+)\)", text):
@@ -129,7 +129,7 @@ def _examples() -> Iterator[tuple[str, str]]:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "text"), list(_examples()))
 def test_examples_of_files_have_keys_that_exist(name: str, text: str) -> None:
-    """Against the schema of every kind: one must take it. A section of a list may stand as a single one."""
+    """Each example fits one schema; a section of a list may appear as a single one."""
     data = tomllib.loads(text)
     if isinstance(data.get("stage"), dict):
         data["stage"] = [data["stage"]]

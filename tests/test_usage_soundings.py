@@ -1,4 +1,4 @@
-"""Soundings as weather services give them, as a wind profile and as an ensemble; wind near the ground."""
+"""Soundings in formats of weather services serve as wind profile and as ensemble, with wind near the ground."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def geometric(geopotential_m: float) -> float:
 
 
 def profile(tmp_path: Path, text: str, name: str = "sounding.txt", number: str = "") -> list[tuple[float, ...]]:
-    """Return the rows of altitude, speed and direction it blows from."""
+    """Return the rows of altitude, speed and direction from which the wind blows."""
     (tmp_path / name).write_text(text)
     table = load_scenario("nominal", [f"wind.profile={tmp_path / name}{number}"]).scenario.wind.profile
     assert table is not None
@@ -112,7 +112,7 @@ def test_csv_in_knots_and_feet_descending_with_gaps(tmp_path: Path) -> None:
 
 
 def test_csv_of_components_over_pressure_alone(tmp_path: Path) -> None:
-    """Altitudes of the standard atmosphere: 226.32 hPa is its tropopause, 54.7489 hPa its 20 km."""
+    """Altitudes are those of the standard atmosphere: 226.32 hPa is its tropopause, 54.7489 hPa its 20 km."""
     text = "pressure_hPa,u_m/s,v_m/s\n54.7489,30,-4\n226.3206,20,3\n1013.25,5,0\n"
     rows = [(0.0, 5.0, 270.0), (geometric(11000.0), math.hypot(20, 3), 270.0 - math.degrees(math.atan(3 / 20)))]
     got = profile(tmp_path, text, "model.csv")

@@ -1,4 +1,4 @@
-"""Subcommands: which one is meant, and whose options it takes; every call in help and documents is understood."""
+"""Each call in help texts and documents is parsed by the right subcommand with its options."""
 
 from __future__ import annotations
 
@@ -103,18 +103,18 @@ def test_an_option_of_another_subcommand_is_refused_in_one_line(arguments: str, 
         COMMANDS[name].main(words)
     out, err = capsys.readouterr()
     assert (end.value.code, out, err.count("\n")) == (2, "", 1)
-    assert err.startswith(f"{says}; see {name} ")
+    assert err.startswith(f"{says}{' See' if says.endswith('?') else '; see'} {name} ")
 
 
 def calls_in(text: str) -> list[str]:
-    """Return the calls of our commands at the beginnings of lines, without what is piped, redirected or explained."""
+    """Return the calls of maxq's commands at line starts, without pipes, redirections and explanations."""
     joined = re.sub(r"\\\n\s*", "", text)
     lines = re.findall(rf"^\s*(?:\$ )?((?:{'|'.join(COMMANDS)}) [^`\n]*)$", joined, re.MULTILINE)
     return [re.split(r" {2,}| [>|#] | && ", line.strip(), maxsplit=1)[0] for line in lines]
 
 
 def understood(command: ModuleType, words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Read the words without looking at any file. Raises SystemExit where they are refused."""
+    """Parse the words without reading files. Raises SystemExit where they are rejected."""
     if command is simrun:
         monkeypatch.setattr(simrun, "_command_for", lambda name: "campaign" if "campaign" in name else "fly")
         words = simrun._in_present_form(words)

@@ -1,4 +1,4 @@
-"""Tanks by their shape: keys, errors, names, limits."""
+"""Tanks given by their shape have their keys, errors, names and limits."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_names_of_second_modes_and_waves() -> None:
 
 
 def test_a_tank_of_another_stage_keeps_its_name() -> None:
-    """Check a shared column of the log, which has the names of all stages that fill it; two modes against three."""
+    """A shared column of the log has the names of all stages that fill it, here with two modes and three."""
     tree = scenario(merged(SPHERE, {"modes": 2}), merged(SPHERE, {"name": "jeta1"}))
     (lower,) = tree["vehicle"]["stage"]
     upper = merged(lower, {"tank": [SPHERE, merged(SPHERE, {"name": "lh2"})]})
@@ -54,7 +54,7 @@ def test_a_tank_of_another_stage_keeps_its_name() -> None:
 
 
 def test_surface_of_the_liquid_by_the_shape_of_its_tank() -> None:
-    """A sphere half full and nearly empty; a cylinder's wall; an ellipsoid, from the volume of its cap."""
+    """The surface is exact for a sphere half full and nearly empty, a cylinder's wall, and an ellipsoid's cap."""
     half = 1141.0 * 2.0 / 3.0 * np.pi * 0.6**3
     sphere = merged(SPHERE, {"modes": 2, "table": {"time_s": [0.0, 10.0], "liquid_mass_kg": [half, 0.0]}})
     wall = merged(SPHERE, {"name": "wall", "shape": "cylinder", "height_m": 2.0})

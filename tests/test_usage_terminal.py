@@ -1,4 +1,4 @@
-"""The output of commands fits the terminal: no line is wider, no word is cut; colours and pipes."""
+"""Output fits the terminal: no line is too wide, no word is cut, and colours end in pipes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ TABLES = st.integers(1, 9).flatmap(lambda n: st.lists(st.lists(CELLS, min_size=n
 
 
 def on_a_terminal(code: str, width: int = 80, **environment: str) -> str:
-    """Return the output of Python code on a terminal of this width."""
+    """Return the output of Python code on a terminal of a given width."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, width, 0, 0))
     plain = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "NO_COLOR")}
@@ -56,7 +56,7 @@ def on_a_terminal(code: str, width: int = 80, **environment: str) -> str:
 
 @given(rows=TABLES, width=st.integers(50, 120))
 def test_a_table_keeps_every_word_and_fits(rows: list[list[str]], width: int) -> None:
-    """A line may be wider only where the first column and another one, unbroken, are."""
+    """A line is wider only if the first column and another one, unbroken, are wider."""
     lines = aligned(rows, "  ", width=width)
     words = Counter(word for row in rows for cell in row for word in cell.split())
     shown = Counter(word for line in lines for word in line.split())
@@ -163,7 +163,7 @@ def test_four_significant_digits(value: float, text: str) -> None:
 
 
 def test_many_threads_move_one_bar_that_goes_away() -> None:
-    """Two bars flickered where two threads opened it at once, and one stayed."""
+    """Two threads that open a bar at once share one bar, which disappears at the end."""
     shown = on_a_terminal(
         "import threading\n"
         "from maxq.tools.cli import terminal\n"
@@ -206,7 +206,7 @@ def test_compiling_names_the_vehicle_and_its_share_and_gives_the_bar_back() -> N
 
 
 def test_a_bar_is_never_without_a_name() -> None:
-    """Before the first step it says that it prepares; `at_once` does not wait for a second step."""
+    """Before the first step the bar reads that it prepares; `at_once` shows it without a second step."""
     shown = on_a_terminal(
         "from maxq.tools.cli import terminal\n"
         "with terminal.Progress(at_once=True) as progress:\n"

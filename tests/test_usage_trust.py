@@ -1,4 +1,4 @@
-"""Files of others: logs and data sets that unpack to more than they are, and logs whose scenario names files."""
+"""Foreign logs and data sets cannot unpack to more than they declare, nor read files by their scenario."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from maxq.tools import simrun
 
 
 def chunk(content: bytes, compression: str, packed: bytes, says: int | None = None) -> bytes:
-    """Return an MCAP chunk record: specification, https://mcap.dev/spec, opcode 0x06."""
+    """Return an MCAP chunk record (opcode 0x06 of https://mcap.dev/spec)."""
     size = len(content) if says is None else says
     name = compression.encode()
     body = struct.pack("<QQQI", 0, 1, size, zlib.crc32(content)) + struct.pack("<I", len(name)) + name
@@ -46,7 +46,7 @@ def first_chunk(log: bytes) -> ChunkIndex:
 
 
 def with_chunks(folder: Path, *chunks: bytes) -> Path:
-    """Return the head of the example followed by these chunks, without an end."""
+    """Return the head of the example followed by these chunks, without the end of the file."""
     whole = write_example(folder / "example.mcap")
     path = folder / "made.mcap"
     path.write_bytes(whole[: first_chunk(whole).chunk_start_offset] + b"".join(chunks))
@@ -99,7 +99,7 @@ def test_a_chunk_that_is_larger_than_it_says(tmp_path: Path, compression: str) -
 
 
 def test_a_frame_that_claims_a_terabyte_takes_no_memory(tmp_path: Path) -> None:
-    """Its header is a frame's word, and the decompressor would reserve what it says."""
+    """The size in a frame's header is not trusted, since the decompressor would reserve it."""
     frame = b"\x28\xb5\x2f\xfd" + bytes([0b11100000]) + struct.pack("<Q", 1 << 40) + b"\x01\x00\x00"
     assert zstandard.frame_content_size(frame) == 1 << 40
     path = with_chunks(tmp_path, chunk(bytes(1000), "zstd", frame))
@@ -167,7 +167,7 @@ PLACES = (
 def test_a_scenario_in_a_log_reads_no_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], place: str, name: str
 ) -> None:
-    """Not next to the log, not in the working folder, not among the built-in ones, not anywhere else."""
+    """The scenario reads no file next to the log, in the working folder, among the built-in ones or elsewhere."""
     monkeypatch.chdir(tmp_path)
     write_ascent(tmp_path)
     whole = load_scenario("ascent.toml").as_flown

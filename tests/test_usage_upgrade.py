@@ -1,13 +1,13 @@
-"""`simrun --upgrade FILE`: designs, cases and suites of schema 1 in the present format, and the hint that names it.
+"""`simrun --upgrade FILE` converts designs, cases and suites of schema 1 to the present format.
 
-| what | expected |
+| case | expected |
 |---|---|
-| designs, cases, suites of schema 1 with comments | the present keys, every other byte as it was |
-| keys in `unset` and in the changes of a design | likewise; an obsolete key is taken away |
+| designs, cases, suites of schema 1 with comments | the present keys, every other byte unchanged |
+| keys in `unset` and in the changes of a design | likewise; an obsolete key is removed |
 | a document whose keys are written in an unusual way | the same document, without its comments, which is reported |
-| a file of schema 2 | left alone |
-| a log and a scenario text of schema 1 | read as they are |
-| a file that cannot be converted | one line, exit code 2, the file as it was |
+| a file of schema 2 | unchanged |
+| a log and a scenario text of schema 1 | readable without conversion |
+| a file that cannot be converted | one line, exit code 2, the file unchanged |
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def upgrade(name: str, text: str | None, capsys: Printed) -> tuple[int, str, str]:
-    """Write a file and upgrade it: exit code, and the words for people, or of the error."""
+    """Write a file and upgrade it; return the exit code, output and error."""
     if text is not None:
         Path(name).write_text(text)
     code = simrun.main(["--upgrade", name])

@@ -1,4 +1,4 @@
-"""The command `simverify` and what it leaves, as documented in docs/simverify.md."""
+"""The command `simverify` prints and writes what docs/simverify.md documents."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_campaigns_of_shipped_suites_fly_the_vehicle_that_is_judged(name: str) -
 
 
 def test_a_hash_is_that_of_the_content_as_json() -> None:
-    """A list of plain numbers is hashed as it stands, and NumPy's numbers in one as arrays with their type."""
+    """A list of plain numbers is hashed as it is, NumPy's numbers in a list as arrays with their type."""
     plain = [1.0, 2, "x", None, True]
     text = json.dumps({"tuple": [plain, [{"array": ["<f8", [], "AAAAAAAA+D8="]}, 2.0]]})
     assert content_hash(plain, [np.float64(1.5), 2.0]) == hashlib.sha256(text.encode()).hexdigest()
@@ -207,7 +207,7 @@ def test_wrong_input_is_one_line(
 def test_the_pack_of_another_vehicle_has_no_word_of_the_first(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """A flight, margins of a node with their figures, and the page as it is written."""
+    """A flight, the figures of an operating point and the page do not mention the first vehicle."""
     words = ["flight=[{name='begin',set=['run.duration_s=8']}]", "campaign=[]", "dispersed_limit=[]"]
     words += ["certificate=", "margins.worst=", "margins.times_s=[40.0]", "margins.cases=1", "margins.corner_sigmas=0"]
     changes = [x for word in (*words, "margins.between_nodes='ignore'") for x in ("--set", word)]
@@ -280,7 +280,7 @@ def test_list_names_suites_and_designs(capsys: pytest.CaptureFixture[str]) -> No
 
 
 class Known:
-    """A memory in which the marks of a flight are already."""
+    """A memory that contains the marks of a flight from the start."""
 
     def __init__(self, whole: dict[str, Any], *stages: dict[str, Any]) -> None:
         self.marks = whole, list(stages)
@@ -360,7 +360,10 @@ def test_standard_suite_asks_for_what_can_fail() -> None:
 
 @pytest.mark.slow
 def test_gusts_are_as_thick_as_the_vehicle_climbs_while_a_mode_swings() -> None:
-    """Frequencies of the file's modes, height of the log; such a gust excites a mode nearly most."""
+    """A gust is as thick as the climb during a mode's period, from mode frequencies and logged heights.
+
+    Such a gust excites a mode nearly most.
+    """
     base = load_scenario("nominal")
     marks, _ = fitted_module._marks(base)
     flight, modes = fly(base), base.vehicle.stage[0].bending.pitch
@@ -383,7 +386,7 @@ def test_gusts_are_as_thick_as_the_vehicle_climbs_while_a_mode_swings() -> None:
 
 
 def test_a_fitted_suite_names_every_part_of_the_vehicle() -> None:
-    """Values scaled, half a sample added, times and altitudes of its own flight."""
+    """A fitted suite has scaled values, half a sample of added delay, and times and altitudes of its own flight."""
     flights = {f.name: f for f in _fitted("standard", "nominal", STAGE_MARKS).suite.flight}
     stage = load_scenario("nominal").vehicle.stage[0]
     assert all("run.stop_at=['burnout','impact']" in f.set for f in flights.values())
@@ -403,7 +406,7 @@ def test_a_fitted_suite_names_every_part_of_the_vehicle() -> None:
 
 
 def test_generic_flights_treat_boosters() -> None:
-    """Engines and tanks of core and boosters deviate together; one booster alone; a late separation.
+    """Engines and tanks of core and boosters deviate together; one booster deviates alone; one separation is late.
 
     The second stage keeps its first booster, and the core flies on alone.
     """
@@ -451,7 +454,7 @@ def test_a_suite_adds_flights_to_those_of_another(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_a_suite_for_several_stages_and_engines() -> None:
-    """The second vehicle: nine engines below, one above; each stage has its faults; none of them KSR-III's."""
+    """A vehicle with nine engines below and one above has faults in each stage, none of them KSR-III's."""
     stages = [STAGE_MARKS | {"stage": n, "strongest_s": 10.0 * n + 5.0} for n in range(3)]
     stages[0]["outer_engine"] = 2
     fitted = _fitted(petrel.folder() / "suite.toml", petrel.folder() / "scenario.toml", *stages)
@@ -488,7 +491,7 @@ def test_a_wrong_mark_is_named(flight: str, said: str, tmp_path: Path) -> None:
 
 
 def test_vehicles_deviate_by_the_starter_set_unless_a_suite_says_otherwise() -> None:
-    """Three sigma: of modes 1, 2 and all beyond, of every tank, of actuator, thrust, air and inertia."""
+    """Modes 1, 2 and all beyond, every tank, actuator, thrust, air and inertia deviate by three sigma."""
     assert Spread().model_dump() == {
         "bending_frequency": (0.05, 0.10, 0.15),
         "bending_slope": 0.2,
@@ -545,7 +548,7 @@ def test_designs_that_are_picked_from_share_the_risk_and_have_their_own_draws() 
 
 
 def test_commands_need_few_quotes() -> None:
-    """Double quotes inside single ones, where TOML means the same; all else as it was given."""
+    """Double quotes are inside single ones, where TOML has the same meaning; the rest is unchanged."""
     changes = ("run.stop_at=['burnout','impact']", 'name="it\'s"', "design=runs/it's.toml", r"name='\d'")
     words = set_words(changes)
     assert words == ["--set", 'run.stop_at=["burnout","impact"]', *(w for c in changes[1:] for w in ("--set", c))]
@@ -553,7 +556,7 @@ def test_commands_need_few_quotes() -> None:
 
 
 def test_a_candidate_picked_because_it_passed_keeps_the_risk() -> None:
-    """Try ten candidates, each just not good enough, until one is accepted.
+    """The risk is kept over ten candidates just below the requirement, tried until one is accepted.
 
     If each has its share of the risk, at most one search in ten accepts one. If each has the whole risk, far more do.
     """
@@ -569,7 +572,7 @@ def test_a_candidate_picked_because_it_passed_keeps_the_risk() -> None:
 
 
 def test_one_comparison_for_designs_and_verdicts() -> None:
-    """A limit of 30.00 deg is met within the search's tolerance on both sides, with no margin."""
+    """A limit of 30.00 deg is met within the search's tolerance in designs and verdicts, with no margin."""
     for value, met in ((30.0, True), (30.0 - 4e-4, True), (30.0 - 6e-4, False), (31.0, True)):
         assert (violation(value, 30.0, ">=", "deg") <= 0.0) == met
         assert (violation(-value, -30.0, "<=", "dB") <= 0.0) == met
@@ -591,7 +594,7 @@ def test_one_comparison_for_designs_and_verdicts() -> None:
 
 
 def test_every_reason_has_limit_value_vehicle_and_command() -> None:
-    """Check random vehicles: the worst is named, with the command that measures it alone."""
+    """The worst of random vehicles is named, with the command that measures it alone."""
     wanted = LinearMargins(cases=60, dispersed=LoopLimits(rigid_phase_deg=15.0))
     values = np.full((60, 1, len(SWEPT)), np.inf)
     values[:, 0, SWEPT.index("rigid_phase_deg")] = 20.0 - 0.1 * np.arange(60.0)
@@ -615,7 +618,7 @@ def test_every_reason_has_limit_value_vehicle_and_command() -> None:
 
 @pytest.mark.long
 def test_a_vehicle_measured_alone_is_that_of_the_study(tmp_path: Path) -> None:
-    """Along the dispersed flight that it meets the node in, not along the nominal one."""
+    """The vehicle is measured along its dispersed flight to the operating point, not along the nominal one."""
     changes = ["flight=[]", "certificate=", "margins.worst=", "margins.times_s=[35.0]", "margins.planes=['pitch']"]
     changes += ["margins.between_nodes='ignore'", "margins.cases=4", "margins.trajectories=3", "campaign.0.runs=3"]
     suite = read_suite("standard", changes)
@@ -631,7 +634,7 @@ def test_a_vehicle_measured_alone_is_that_of_the_study(tmp_path: Path) -> None:
 
 
 def test_no_slosh_advice_where_nothing_sloshes() -> None:
-    """Tanks there are, but the suite's scenario holds their liquid still."""
+    """A suite's scenario that holds the liquid still gives no advice on slosh, although there are tanks."""
     still = load_scenario("nominal", ["switches.slosh=false"])
     none: Any = None
     job = Parts(SimpleNamespace(margins=LinearMargins()), still, still, none, none, 1)
@@ -649,7 +652,7 @@ def test_the_wind_that_can_be_trimmed_is_that_of_the_worst_time(wind_mps: float,
 def test_a_campaign_s_requirement_names_its_worst_run() -> None:
     worst = tuple(SimpleNamespace(run=run, value=value) for run, value in ((41, 9.0), (7, 8.5)))
     shown = SimpleNamespace(failures=4, runs=60, judgement="", more=0)
-    verdict = SimpleNamespace(kind="limit", bound=8.0, metric="m_deg", name="m", worst=worst, shown=shown)
+    verdict = SimpleNamespace(kind="limit", bound=8.0, metric="m_deg", unit="deg", name="m", worst=worst, shown=shown)
     result = SimpleNamespace(
         success=0.99,
         confidence=0.9,
@@ -660,7 +663,7 @@ def test_a_campaign_s_requirement_names_its_worst_run() -> None:
         verdicts=(verdict, SimpleNamespace(**{**vars(verdict), "worst": worst[:1]})),
     )
     for row in campaign_requirements(result):
-        assert row.found == "4 of 60 failed, worst 9"
+        assert (row.wanted, row.found) == ("<= 8 deg, 99 % with 90 %", "4 of 60 failed, worst 9.000 deg")
         assert (row.where, row.again) == ("run 41", "simrun refly c --run 41")
 
 
@@ -707,7 +710,10 @@ def test_memory_works_out_once_and_again_when_a_file_is_damaged(tmp_path: Path) 
 
 
 def test_an_entry_with_any_bit_flipped_or_of_another_making_is_made_anew(tmp_path: Path) -> None:
-    """Also one whose checksum is right: another part's under this name, and what no result can hold."""
+    """Entries with a flipped bit, with another part's content or with impossible values are computed again.
+
+    This holds also for a correct checksum.
+    """
 
     def recalled(depends: tuple[float, ...] = (1.0,)) -> tuple[Any, int]:
         memory = PartsOnDisk(tmp_path)
@@ -800,7 +806,7 @@ def test_ranking_puts_fewer_rejections_first() -> None:
 
 
 def test_requirements_of_each_plane_stand_under_its_name() -> None:
-    """`quick` listed the margins of pitch and of yaw one below the other, with equal names."""
+    """Requirements of pitch and yaw are grouped by plane, instead of equal names in one list."""
 
     def asked(*wheres: str) -> list[JudgedRequirement]:
         return [JudgedRequirement("margins", "stable", "", "", "accepted", math.nan, where) for where in wheres]

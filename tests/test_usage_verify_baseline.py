@@ -1,4 +1,4 @@
-"""Comparison of a suite with its baseline: the first page lists each difference in content; a copy has none."""
+"""The first page lists each difference of a suite from its baseline; a copy has none."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_each_change_of_standard_has_its_kind(change: str, said: str | None) -> 
 
 
 def test_switches_of_every_flight_are_named_first() -> None:
-    """As the suite that switches slosh and bending off, and is otherwise `standard`."""
+    """A suite that is `standard` with slosh and bending off has these switches first in the list."""
     every = ["run.stop_at=['burnout','impact']", "switches.slosh=false", "switches.bending=false"]
     Path("off.toml").write_text(f'schema = 2\nextends = "standard"\nevery = {json.dumps(every)}\n')
     assert _differences("off.toml") == [
@@ -157,7 +157,7 @@ def test_another_vehicle_is_named_and_its_numbers_are_not_compared() -> None:
 
 
 def test_smaller_spreads_of_another_vehicle_are_listed() -> None:
-    """Those of factors and of the air, by standard deviation; a larger one and one in the vehicle's units are not."""
+    """Smaller standard deviations of factors and air are listed; larger ones and those in vehicle units are not."""
     Path("other.toml").write_text('extends = "nominal.toml"\nunset = ["design"]\n[vehicle_overrides]\nname = "other"\n')
     draws = {
         "atmosphere.density_factor": "three_sigma = 0.01",
@@ -236,7 +236,7 @@ def test_what_is_looser_than_the_baseline_bars_an_acceptance(change: str, said: 
 
 
 def test_a_changed_vehicle_is_judged_and_bars_nothing() -> None:
-    """Also in the campaigns, where they fly the same change as the scenario of the suite."""
+    """A changed vehicle is judged also in campaigns that fly the suite's change, and blocks no verdict."""
     vehicle = "vehicle.computer.delay_s=0.004"
     Path("changed.toml").write_text('extends = "nominal.toml"\n[vehicle_overrides.computer]\ndelay_s = 0.004\n')
     found = against_baseline(read_suite("standard", ["scenario=changed.toml", f"campaign.0.set=['{vehicle}']"]))
@@ -269,7 +269,7 @@ def test_an_agreed_baseline_permits_what_it_loosens_and_is_named_with_its_hash()
 
 
 def test_a_suite_that_extends_quick_is_accepted_by_the_rules_of_standard() -> None:
-    """Compared with `quick` alone, it has no difference that loosens it."""
+    """Compared with `quick` alone, it has no difference that loosens it, and the rules of `standard` apply."""
     Path("mine.toml").write_text('schema = 2\nextends = "quick"\n[[campaign]]\nfile = "campaigns/ksr3"\n')
     loaded = read_suite("mine.toml")
     assert (loaded.baseline, against_baseline(loaded).loosened) == ("quick", "")
@@ -279,7 +279,7 @@ def test_a_suite_that_extends_quick_is_accepted_by_the_rules_of_standard() -> No
 
 
 def test_a_suite_of_another_vehicle_on_launcher_is_not_looser() -> None:
-    """As `simvehicle` writes it, with the end of its flights; levels and numbers are those of the floor."""
+    """A suite of `simvehicle`, with the end of its flights, has the levels of the floor and is not looser."""
     Path("other.toml").write_text('extends = "nominal.toml"\nunset = ["design"]\n[vehicle_overrides]\nname = "other"\n')
     Path("mine.toml").write_text(
         'schema = 2\nextends = "launcher"\nscenario = "other.toml"\nlimit_wind = "winds/anheung-november.csv"\n'
@@ -306,7 +306,7 @@ def test_terminal_page_and_verdict_show_the_differences_and_hash_everything(
     assert main(["ksr3-robust", "--suite", "mine.toml", "--out", "out"]) == 0
     said = capsys.readouterr().out
     assert re.search(r"^baseline: \d+ differences from the shipped suite standard$", said, re.MULTILINE)
-    assert re.search(r"^  removed +46 flights: nominal, limit wind, ", said, re.MULTILINE)
+    assert re.search(r"^  removed +46 flights: nominal; limit wind; ", said, re.MULTILINE)
     page, verdict = Path("out/review.html").read_text(), json.loads(Path("out/verdict.json").read_text())
     assert "differences from the shipped suite standard" in page
     assert {"kind": "removed", "what": "certificate", "baseline": "", "here": ""} in verdict["baseline"]["differences"]

@@ -1,4 +1,4 @@
-"""The tables for a board, from [board] or absent, and waivers, which never make a verdict ACCEPTED."""
+"""The tables for a board come from [board] or are absent, and waivers never make a verdict ACCEPTED."""
 
 from __future__ import annotations
 
@@ -328,7 +328,7 @@ def test_the_worst_third_is_that_with_most_misses() -> None:
 
 
 def test_shared_code_is_that_of_the_imports() -> None:
-    """The list is read by a pattern; here by the parser of Python."""
+    """The list of shared code, found by a pattern, equals that of Python's parser."""
     imported: dict[str, set[str]] = {}
     for path in (path for part in ("laws", "loop", "model") for path in (ROOT / "design" / part).glob("*.py")):
         mine = imported.setdefault(f"design.{path.parent.name}.{path.stem}", set())

@@ -1,4 +1,4 @@
-"""The floor of an acceptance: no suite lowers it, and the shipped suites of vehicles reach it."""
+"""No suite lowers the floor of an acceptance, and the shipped suites of vehicles reach it."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _along(scenario: str) -> LoadedScenario:
 
 
 def evidence(loaded: LoadedSuite, in_flight: tuple[str, ...] = FLOOR.planes) -> Evidence:
-    """Return the evidence of a suite of which no mark is needed: its campaigns, operating points and a windy flight."""
+    """Return the evidence of a suite that needs no marks: its campaigns, operating points and a windy flight."""
     suite, along = loaded.suite, _along(loaded.suite.scenario)
     campaigns = [load_wanted(loaded, wanted, DESIGN, None) for wanted in suite.campaign]
     none: Any = None
@@ -156,7 +156,7 @@ def test_a_flight_in_wind_to_burnout_and_the_whole_model_belong_to_the_floor(sta
 
 
 def test_every_flight_and_campaign_flies_the_design_that_is_judged(standard: Evidence) -> None:
-    """A suite could fly another design than the one whose margins it measures."""
+    """No flight or campaign of a suite flies another design than the one whose margins are measured."""
 
     def flight(design: str, *changes: str) -> Scenario:
         wind = "wind.profile=winds/anheung-november.csv"
@@ -181,7 +181,7 @@ def test_every_flight_and_campaign_flies_the_design_that_is_judged(standard: Evi
 
 
 def test_the_flight_of_the_operating_points_has_the_whole_model(standard: Evidence) -> None:
-    """The linear margins are those of this flight, in which no change of the other flights applies."""
+    """The linear margins are those of this flight, to which changes of the other flights do not apply."""
     along = load_scenario("nominal", [f'design="{DESIGN}"', "switches.slosh=false"])
     assert missing_evidence(replace(standard, along=along)) == (
         "switches.slosh = false in the flight of the operating points",
@@ -198,7 +198,7 @@ def test_a_suite_that_is_looser_than_its_baseline_is_a_screening(standard: Evide
 def test_one_unguarded_flight_is_found_and_the_baseline_is_read_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Flight code in a process of its own in all flights but one could change the judge in that one."""
+    """Flight code that shares the judge's process in a single flight is found, and the baseline is read once."""
     read, lack = list[str](), "flight code ran in the process that judges it"
 
     def counted(name: str, *more: Any) -> LoadedSuite:

@@ -1,4 +1,4 @@
-"""The ledger of attempts and the rule for seeds, as the section Records of docs/simverify.md has them."""
+"""The ledger of attempts and the rule for seeds follow docs/simverify.md, section Records."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_ledger_is_in_the_data_folder_of_the_user(tmp_path: Path, monkeypatch: p
 
 
 def test_a_copy_of_a_vehicle_under_another_name_continues_its_attempts() -> None:
-    """Else a renamed vehicle would begin with attempt 1, and a second seed could be registered for it."""
+    """A renamed copy of a vehicle continues its attempts, and no second seed can be registered for it."""
     _begin("1", seeds={"campaign.0": 1}).end("rejected")
     copy = _begin("2", name="Falke")
     assert copy.title == "attempt 2 for this vehicle; 1 earlier one: REJECTED; also under the name KSR-III"
@@ -194,7 +194,7 @@ def test_seed_of_a_suite_without_a_campaign_in_its_baseline_is_that_of_its_file(
 
 
 def test_a_baseline_that_is_not_shipped_declares_no_seed(tmp_path: Path) -> None:
-    """Its author could otherwise choose the best of many seeds, as a suite may name itself."""
+    """Only a shipped baseline declares a seed, since an author could otherwise choose the best of many."""
     suite = tmp_path / "own.toml"
     suite.write_text('schema = 2\nbaseline = "own.toml"\n[[campaign]]\nfile = "campaigns/ksr3"\nseed = 7\n')
     assert _seeds(str(suite))["campaign.0"] == "chosen by hand"
@@ -216,7 +216,7 @@ def _register(value: int, vehicle: str = "v", name: str = "KSR-III") -> None:
 
 
 def test_a_seed_registered_before_any_flight_replaces_the_declared_one() -> None:
-    """Two seeds would be two chances: of 200 vehicles at the limit, 16.5 % were accepted."""
+    """The registered seed replaces the declared one; with both, 16.5 % of 200 vehicles at the limit were accepted."""
     assert (_how(7), _how(1)) == ("chosen by hand", "declared")
     _register(7)
     _begin("1", seeds={"campaign.0": 7})
@@ -233,7 +233,7 @@ def test_a_seed_registered_before_any_flight_replaces_the_declared_one() -> None
 
 
 def test_no_seed_is_registered_after_a_flight_also_of_a_changed_vehicle() -> None:
-    """A vehicle with one changed digit would otherwise have a seed of its own."""
+    """A vehicle with one changed digit cannot register a seed of its own after a flight."""
     _begin("1", seeds={"campaign.0": 1})
     for vehicle in ("v", "w"):
         with pytest.raises(ValueError, match="cannot be registered"):

@@ -1,4 +1,4 @@
-"""`simverify --only PART`: the suite's limits stay, margins measured are shown, and what is left out is named."""
+"""`simverify --only PART` keeps the suite's limits, shows measured margins and names omitted parts."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_part_alone_keeps_the_limits_and_names_what_is_left_out() -> None:
 def test_the_certificate_of_flight_code_alone_is_judged_by_the_limits(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its upper gain margin is 6.3 dB, and the suite asks for 12."""
+    """The upper gain margin is 6.3 dB and misses the suite's limit of 12 dB."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("maxq.design.verify.memory.default_folder", lambda: tmp_path / "memory")
     monkeypatch.setattr("maxq.tools.verify.report.print_page", lambda *_: None)

@@ -1,4 +1,4 @@
-"""`simverify` ends soon after a signal, also while a worker is in a call that takes minutes.
+"""`simverify` ends soon after a signal, even if a worker's call takes minutes.
 
 | claim | expected |
 |---|---|

@@ -1,4 +1,4 @@
-"""A wind profile that is to cover the flight and does not fails it, in words."""
+"""A wind profile that does not cover the flight, as required, fails it with a clear message."""
 
 from __future__ import annotations
 

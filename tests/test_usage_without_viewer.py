@@ -1,4 +1,4 @@
-"""maxq without rerun-sdk, as on workers of a cluster and in containers: only `simreplay` and `--view` need it."""
+"""Without rerun-sdk, as on cluster workers and in containers, only `simreplay` and `--view` are unavailable."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ check(0, simverify, "mine.toml", "--suite", "quick", *short, "--out", "verdict")
 
 
 def without_viewer(code: str, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run Python code in `folder` as if rerun-sdk, and what comes with it alone, were not installed."""
+    """Run Python code in `folder` as if rerun-sdk and its exclusive dependencies were not installed."""
     return subprocess.run(
         [sys.executable, "-c", HIDE + code, *words],
         cwd=folder,

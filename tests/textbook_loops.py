@@ -1,4 +1,4 @@
-"""Loops small enough to have their margins in closed form, or another way to compute them."""
+"""Provide loops small enough for margins in closed form, or by a second method."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class TransferLoop:
     """A loop numerator / denominator, in falling powers of s (of z with `sample_s`), times a pure delay.
 
     With a delay, the closed loop has infinitely many poles, and `rightmost` contains those to report. `exact` contains
-    the roots of the denominator if they are known more accurately than its coefficients give them.
+    the roots of the denominator if they are more accurate than its coefficients.
     """
 
     numerator: Sequence[float]
@@ -66,7 +66,7 @@ class TransferLoop:
 
 @dataclass(frozen=True)
 class ModalLoop:
-    """Sum of partial fractions, c^T (s - A)^-1 b with A of blocks one or two wide: exact at any damping ratio."""
+    """A sum of partial fractions, c^T (s - A)^-1 b with A of blocks one or two wide, exact at any damping ratio."""
 
     a: Array
     b: Array
@@ -79,7 +79,10 @@ class ModalLoop:
     def of(
         cls, real: Sequence[tuple[float, float]], pairs: Sequence[tuple[float, float, float, float]], gain: float = 1.0
     ) -> ModalLoop:
-        """`real`: (pole, residue); `pairs`: (omega, zeta, weights of rate and of place) in omega (r s + p omega)."""
+        """Return the loop of `real` (pole, residue) and `pairs` (omega, zeta, weights) in omega (r s + p omega).
+
+        The weights r and p are those of rate and place.
+        """
         n = len(real) + 2 * len(pairs)
         a, b, c = np.zeros((n, n)), np.zeros(n), np.zeros(n)
         for k, (pole, residue) in enumerate(real):
@@ -121,12 +124,12 @@ class ModalLoop:
         return np.linalg.eigvals(self.a - gain * np.outer(self.b, self.c)).astype(complex)
 
     def gain_crossings_hz(self) -> np.ndarray:
-        """Return the eigenvalues / 2 pi j of the Hamiltonian whose imaginary ones are where |L| = 1."""
+        """Return the eigenvalues / 2 pi j of the Hamiltonian; the real ones are frequencies of |L| = 1."""
         h = np.block([[self.a, np.outer(self.b, self.b)], [-np.outer(self.c, self.c), -self.a.T]])
         return np.linalg.eigvals(h) / (2j * np.pi)
 
     def real_crossings_hz(self) -> np.ndarray:
-        """Return the zeros / 2 pi j of L(s) - L(-s), whose imaginary ones are where L is real."""
+        """Return the zeros / 2 pi j of L(s) - L(-s); the real ones are frequencies of real L."""
         n = len(self.a)
         zero = np.zeros((n, n))
         a = np.block([[self.a, zero], [zero, -self.a]])
@@ -140,7 +143,7 @@ class ModalLoop:
 
 @dataclass(frozen=True)
 class ZpkLoop:
-    """gain times prod(x - zeros) / prod(x - poles), exact at any damping ratio.
+    """The loop gain times prod(x - zeros) / prod(x - poles), exact at any damping ratio.
 
     Zeros and poles are in rad/s; those of a sampled loop are mapped to z = exp(p T).
     """

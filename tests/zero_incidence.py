@@ -1,4 +1,4 @@
-"""A state along which linear models are compared: in flight along the velocity, everything else at rest."""
+"""Provide the state along which linear models are compared: flight along the velocity, everything else at rest."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def zero_incidence(packed: Packed, y: Array) -> Array:
     """Return the state `y` (MAX_STATE,) with modes and pendulums at rest and the body along its velocity over ground.
 
     Position and velocity are kept, the attitude is rotated by the smallest angle, body rates relative to I are zero,
-    the pendulums point aft. Raises ValueError at rest, where there is no direction.
+    and the pendulums point aft. Raises ValueError at rest, where the direction is undefined.
     """
     sizes = packed.parameters[int(packed.memory[0].clock.stage)].vehicle.sizes
     spin = np.array([0.0, 0.0, float(packed.parameters[0].environment.earth.rate_radps)])

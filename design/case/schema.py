@@ -126,7 +126,9 @@ class CaseFilter(FilterSections):
     nodes_s: tuple[float, ...] | None = optional(
         "vehicle times of the points of a filter schedule, s; with gains over time (default: a constant filter)"
     )
-    nodes: tuple[float, ...] | None = optional("points of a filter schedule over gains.over, in its unit; else")
+    nodes: tuple[float, ...] | None = optional(
+        "points of a filter schedule over gains.over, in its unit; with gains not over time"
+    )
     bounds: FilterBounds = FilterBounds()
 
     def _check(self) -> None:

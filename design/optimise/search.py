@@ -35,8 +35,8 @@ UNSETTLED = 1e-3  # residual of the optimality conditions above which a further 
 SearchProgress = Callable[[int, int, float, str], None]
 """A function that is called with the completed steps, the total, the best objective so far (dB or nan), and the kind.
 
-The kind is "starts" or "leaps", or for a robust case "worst plants, round 1". The best objective applies to the plants
-of the present round.
+The kind is "starts" or "perturbations", or for a robust case "worst plants, round 1". The best objective applies to the
+plants of the present round.
 """
 
 
@@ -125,7 +125,7 @@ def search(
             for leapt, leap_db in _leapt(problem, leapt, leaps, seed):  # noqa: B020  # each continues from the last
                 leaps_db.append(leap_db)
                 if progress is not None:
-                    progress(len(ends) + len(leaps_db), total, leapt.objective_db, "leaps")
+                    progress(len(ends) + len(leaps_db), total, leapt.objective_db, "perturbations")
     except KeyboardInterrupt:
         interrupted = True
     for k in candidates[:1] if not fine else ():

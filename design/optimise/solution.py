@@ -138,7 +138,7 @@ class Certificate:
         """Return the evidence for the optimum as text."""
         text = f"{self.near_best} of {self.starts} starts"
         if self.leaps > 0:
-            text += f" and {self.leaps_back} of {self.leaps} leaps from the best"
+            text += f" and {self.leaps_back} of {self.leaps} perturbations of the best"
         return f"{text} ended within 0.05 dB of it"
 
 

@@ -278,7 +278,7 @@ def _joined(found: Sequence[SuiteDifference]) -> Iterator[SuiteDifference]:
     for kind in (REMOVED, STRICTER):
         names = [d.what.removeprefix("flight ") for d in whole if d.kind == kind]
         if names:
-            yield SuiteDifference(kind, f"{len(names)} flight{'s' * (len(names) != 1)}: {', '.join(names)}", "", "")
+            yield SuiteDifference(kind, f"{len(names)} flight{'s' * (len(names) != 1)}: {'; '.join(names)}", "", "")
     yield from (d for d in found if d not in whole)
 
 

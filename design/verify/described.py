@@ -11,6 +11,7 @@ from maxq.design.model.node import Node
 from maxq.design.model.spread import campaign_of
 from maxq.design.verify.suite import LinearMargins
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
+from maxq.sim.campaign.schema import campaign_title
 from maxq.sim.scenario.loader import LoadedScenario
 
 NORMAL = "normal deviations of [margins.three_sigma]"
@@ -53,15 +54,15 @@ class DescribedVehicles:
         """Return the description at operating points as text, with the draws that no margin includes."""
         named, flies = self.named, self.campaign
         if named is None:
-            own = "the suite has no campaign" if flies is None else f"not draws of campaign {flies.name}"
+            own = "the suite has no campaign" if flies is None else f"not draws of {campaign_title(flies.name)}"
             return f"dispersed vehicles: {NORMAL}, {own}"
         stages = {node.stage: node for node in nodes}
         without = [str(n + 1) for n, node in stages.items() if self.at(node) is not named]
         if len(without) == len(stages):
-            return f"dispersed vehicles: {NORMAL}; campaign {named.name} changes nothing that a loop depends on"
-        text = f"dispersed vehicles: draws of campaign {named.name}, vehicle N is its run N"
+            return f"dispersed vehicles: {NORMAL}; {campaign_title(named.name)} changes nothing that a loop depends on"
+        text = f"dispersed vehicles: draws of {campaign_title(named.name)}, vehicle N is its run N"
         if flies is not None and named is not flies:
-            text += f"; not of campaign {flies.name}, which the suite flies"
+            text += f"; not of {campaign_title(flies.name)}, which the suite flies"
         text += f"; {NORMAL} in stage {', '.join(without)}, which it leaves alone" if without else ""
         left = dict.fromkeys(name for node in stages.values() for name in deviations_of(named, node).left_out)
         return f"{text}; without {', '.join(left)}" if left else text

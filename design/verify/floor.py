@@ -21,6 +21,7 @@ from maxq.design.verify.memory import content_hash
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.suite import CampaignWanted, CertificateWanted, LinearMargins, Suite
 from maxq.sim.campaign.read import LoadedCampaign
+from maxq.sim.campaign.schema import campaign_title
 from maxq.sim.scenario.loader import LoadedScenario, told
 from maxq.sim.scenario.schema_scenario import Scenario, Switches
 from maxq.sim.scenario.schema_vehicle import ComputerSection, Vehicle
@@ -80,8 +81,7 @@ def missing_evidence(e: Evidence) -> tuple[str, ...]:
     out += [*_flights(e), *_control(e), *([] if e.guarded else ["flight code ran in the process that judges it"])]
     out += [] if e.campaigns else ["no dispersed flight flown"]
     for wanted, campaign in zip(e.suite.campaign, e.campaigns, strict=True):
-        name = campaign.name if campaign.name == "campaign" else f"campaign {campaign.name}"
-        out += [f"{name}: {text}" for text in _campaign(e, wanted, campaign)]
+        out += [f"{campaign_title(campaign.name)}: {text}" for text in _campaign(e, wanted, campaign)]
     margins, certificate = e.suite.margins, e.suite.certificate
     if margins is None or not margins.cases or not e.linear:
         out.append("no dispersed vehicle" if e.linear else "no dispersed vehicle: flight code has no linear model")
@@ -122,9 +122,9 @@ def _control(e: Evidence) -> Iterator[str]:
         yield f"another design or flight code than the judged one in {count} flight{'s' * (count != 1)}"
     for campaign in e.campaigns:
         if campaign.base.vehicle.name != e.judged.vehicle.name:
-            yield f"campaign {campaign.name}: another vehicle than the judged one"
+            yield f"{campaign_title(campaign.name)}: another vehicle than the judged one"
         if control_hash(campaign.base.scenario) != judged:
-            yield f"campaign {campaign.name}: another design or flight code than the judged one"
+            yield f"{campaign_title(campaign.name)}: another design or flight code than the judged one"
     if any(c.law == "external" and c.address for c in computers_of(e.judged)):
         yield "flight code at a socket, which no hash covers"
 

@@ -171,7 +171,7 @@ class PartsOnDisk:
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
-        self._recalled: list[tuple[str, Callable[[], Any], str]] = []  # name, function and hash of the result
+        self._recalled: dict[Path, tuple[str, Callable[[], Any], str]] = {}  # name, function and hash of the result
         self._stored: dict[Path, str] = {}  # hashes of the parts that this object computed, by file
         self.worked_out = 0
 
@@ -183,14 +183,14 @@ class PartsOnDisk:
     @property
     def recalled_names(self) -> tuple[str, ...]:
         """Return the names of the parts that were read from the folder, in alphabetical order."""
-        return tuple(sorted(name for name, _, _ in self._recalled))
+        return tuple(sorted(name for name, _, _ in self._recalled.values()))
 
     def recheck(self, most: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Compute a random sample of the recalled parts again.
 
         Returns the names of the parts in the sample, and of those that differ.
         """
-        sample = random.SystemRandom().sample(self._recalled, min(most, len(self._recalled)))
+        sample = random.SystemRandom().sample([*self._recalled.values()], min(most, len(self._recalled)))
         wrong = [name for name, work_out, known in sample if _digest(text_of(work_out())) != known]
         return tuple(sorted(name for name, _, _ in sample)), tuple(sorted(wrong))
 
@@ -207,7 +207,7 @@ class PartsOnDisk:
                 text = rest[len(key) + 1 :]
                 found: T = from_plain(json.loads(text))
                 if self._stored.get(path) != _digest(text):
-                    self._recalled.append((f"{kind} {label}".rstrip(), work_out, _digest(text)))
+                    self._recalled[path] = f"{kind} {label}".rstrip(), work_out, _digest(text)
                 return found
         except (OSError, ValueError, TypeError, ImportError, LookupError, AttributeError, RecursionError):
             pass  # the file is missing or not written by `to_plain`

@@ -86,9 +86,9 @@ class Parts:
         """Return the times of a part's operating points, from the suite or suited to the flight."""
         if part.times_s is not None:
             return part.times_s
-        edges = part.edges if isinstance(part, LinearMargins) else MEASURED_EDGES
+        of, edges = ("margins", part.edges) if isinstance(part, LinearMargins) else ("certificate", MEASURED_EDGES)
         times = partial(node_times, self.along, part.nodes_per_stage, edges=edges)
-        return self.memory.recall("times", (self.along.as_flown, part.nodes_per_stage, edges), times)
+        return self.memory.recall("times", (self.along.as_flown, part.nodes_per_stage, edges), times, f"of {of}")
 
     def nodes(self, plane: Plane) -> list[Node]:
         """Return the operating points of the linear margins, which depend on the whole flight."""
@@ -99,6 +99,7 @@ class Parts:
     def _nodes(self, plane: Plane) -> list[Node]:
         wanted, design = self.suite.margins, self.design
         assert wanted is not None
+        self.watch("linearising at the operating points", len(self.known), len(wanted.planes))
         times_s = self.times_s(wanted)
         depends = (self.along.as_flown, times_s, plane)
 
@@ -122,7 +123,6 @@ class Parts:
         wanted, design = self.suite.margins, self.design
         if wanted is None or design is None:
             return []
-        self.watch("linearising at the operating points", 0, 0)
         out, parts = [], list(self.by_stage("margins", wanted))
         flights = self.trajectories if wanted.cases else []
         for (nodes, stage, watch), mine in zip(parts, flights or itertools.repeat([]), strict=False):

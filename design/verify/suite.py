@@ -24,7 +24,7 @@ from maxq.design.model.node_times import EDGES, NODES_PER_STAGE
 from maxq.design.model.spread import RelativeDeviation, Spread
 from maxq.design.quantities import MEASURED, SWEPT, LoopLimits, violation
 from maxq.design.verify.board import BoardSection
-from maxq.sim.campaign.schema import Campaign
+from maxq.sim.campaign.schema import Campaign, campaign_title
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.input.documents import Text
 from maxq.sim.input.errors import ScenarioError, refuse, suggestion
@@ -71,7 +71,8 @@ class JudgedRequirement:
         said += f"; waived by {self.waived}" if self.waived else ""
         if self.judgement != UNDECIDED:
             return said
-        return f"{said}; not settled" + (f": {self.more_runs} more runs" if self.more_runs else "")
+        more = self.more_runs
+        return f"{said}; " + (f"{more} more run{'s' * (more != 1)} needed" if more else "undecided")
 
 
 def overall(requirements: Iterable[JudgedRequirement], missing_evidence: Iterable[str] = ()) -> SuiteVerdict:
@@ -370,7 +371,7 @@ class LoadedSuite:
             left_out.append("linear margins" + (f" but for '{label}'" if known else ""))
         left_out += ["wind that can be trimmed"] if suite.wind_limit_mps is not None and wind is None else []
         left_out += ["certificate"] if suite.certificate is not None and certificate is None else []
-        left_out += [f"campaign {wanted.name or wanted.file}" for wanted in suite.campaign]
+        left_out += [campaign_title(wanted.name or wanted.file.removesuffix(".toml")) for wanted in suite.campaign]
         left_out += ["[board]"] if suite.board is not None else []
         suite = suite.model_copy(update={**update, "wind_limit_mps": wind, "board": None})
         return replace(self, suite=suite, along=along, part=label, left_out=(*self.left_out, *left_out))

@@ -77,6 +77,11 @@ class Correlated(Section):
     coefficient: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(description="correlation coefficient of their scores")
 
 
+def campaign_title(name: str) -> str:
+    """Return `campaign NAME`, or `campaign` for a campaign of that name."""
+    return name if name == "campaign" else f"campaign {name}"
+
+
 class Campaign(Section):
     """The number of runs, the sampling, and the required confidence."""
 

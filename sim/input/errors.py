@@ -24,8 +24,9 @@ _LONGEST_WORDS = 1000
 class ScenarioError(Exception):
     """The error of wrong input, whose `str()` is one line: `file: key = value: problem; allowed: ... (and N more)`.
 
-    `file` is the file as named by the user, or `--set` for an override. `key` is empty if the error concerns the whole
-    file. `more` is the number of further errors found at the same time.
+    After a question, such as `did you mean x?`, the allowed values are a new sentence: `Allowed: ...`. `file` is the
+    file as named by the user, or `--set` for an override. `key` is empty if the error concerns the whole file. `more`
+    is the number of further errors found at the same time.
     """
 
     def __init__(
@@ -41,7 +42,7 @@ class ScenarioError(Exception):
         problem, allowed = (_printable(text, _LONGEST_WORDS) for text in (self.problem, self.allowed))
         line = ": ".join(part for part in (_printable(self.file, _LONGEST_FILE), place, problem) if part)
         if allowed:
-            line += f"; allowed: {allowed}"
+            line += f" Allowed: {allowed}" if line.endswith("?") else f"; allowed: {allowed}"
         if self.more:
             line += f" (and {self.more} more)"
         return " ".join(line.split())

@@ -1,11 +1,11 @@
-"""A free-free beam of finite elements as an oracle of section loads: no modes, no summation of forces.
+"""Model a free-free beam by finite elements, an oracle of section loads without modes or summed forces.
 
-Euler-Bernoulli elements with cubic shapes, consistent mass, and geometric stiffness of a given axial force. Its section
-moments and shears are the nodal forces of its *stiffness*: EI w'' of the shape functions in the nodes' own terms.
+The Euler-Bernoulli elements have cubic shapes, consistent mass, and geometric stiffness of a given axial force. The
+section moments and shears are the nodal forces of the *stiffness*, EI w'' of the shape functions.
 
-Frame: station x aft of the nose, deflection w and rotation w' = dw/dx at every node, a force along +w. Section loads
-are those of the part forward of the node: shear along +w; moment positive where it turns the nose towards -w (with w
-along body z: about +y), which is -EI w''.
+Frame: station x aft of the nose, deflection w and rotation w' = dw/dx at every node, force along +w. Section loads act
+on the part forward of the node: shear along +w; a positive moment turns the nose towards -w (about +y if w is along
+body z) and equals -EI w''.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Beam:
-    """Nodes `x` (n + 1,) with points of mass; bending stiffness, mass per length and tension of the elements (n,)."""
+    """A beam: nodes `x` (n + 1,) with point masses; bending stiffness, mass per length and tension of elements (n,)."""
 
     x: Array
     stiffness_Nm2: Array
@@ -30,7 +30,7 @@ class Beam:
     axial_N: Array
 
     def matrices(self) -> tuple[Array, Array]:
-        """Return the stiffness (with that of the axial force) and mass, over (w, w') of every node."""
+        """Return the stiffness (including that of the axial force) and mass matrices over (w, w') of every node."""
         size = 2 * len(self.x)
         k, m = np.zeros((size, size)), np.zeros((size, size))
         for e in range(len(self.x) - 1):
@@ -57,7 +57,10 @@ class Beam:
         return bending + geometric
 
     def modes(self, count: int) -> tuple[Array, Array, Array, Array]:
-        """Frequencies (rad/s), generalised masses, phi and slope (count, nodes); no axial force, 1 at the tail."""
+        """Return frequencies (rad/s), generalised masses, shapes and slopes (count, nodes), without axial force.
+
+        Shapes are 1 at the tail.
+        """
         free = Beam(self.x, self.stiffness_Nm2, self.density_kgpm, self.point_kg, np.zeros_like(self.axial_N))
         k, m = free.matrices()
         squares, shapes = eigh(k, m, subset_by_index=[2, 1 + count])
@@ -65,7 +68,7 @@ class Beam:
         return np.sqrt(squares), np.einsum("im,ij,jm->m", shapes, m, shapes), shapes[0::2].T, shapes[1::2].T
 
     def harmonic(self, force_N: Array, omega_radps: float) -> Array:
-        """Amplitude (w, w' of every node) under nodal forces (n + 1,) at a frequency; 0 < omega, no damping."""
+        """Return the amplitude (w, w' of every node) under nodal forces (n + 1,) at a frequency above 0, undamped."""
         k, m = self.matrices()
         load = np.zeros(len(k))
         load[0::2] = force_N
@@ -74,8 +77,8 @@ class Beam:
     def in_free_fall(self, force_N: Array) -> Array:
         """Return the deflection under constant nodal forces in the frame that accelerates with the beam.
 
-        The force's rigid accelerations are taken off (inertia relief); of the rigid motions, which are arbitrary, the
-        answer has none in the mean over the mass.
+        Inertia relief: the rigid-body accelerations due to the forces are subtracted. The result has no rigid-body
+        motion in the mass-weighted mean.
         """
         k, m = self.matrices()
         load = np.zeros(len(k))
@@ -87,7 +90,7 @@ class Beam:
         return np.asarray(np.linalg.solve(bordered, np.concatenate([load, np.zeros(2)]))[: len(k)])
 
     def moment_Nm(self, motion: Array) -> Array:
-        """Return the section moment (n + 1,) of the bending stiffness alone: the mean of both elements at a node."""
+        """Return the section moment (n + 1,) of the bending stiffness alone: at a node, the mean of both elements."""
         ends: list[list[float]] = [[] for _ in self.x]
         for e in range(len(self.x) - 1):
             h = self.x[e + 1] - self.x[e]

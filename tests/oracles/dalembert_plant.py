@@ -1,46 +1,44 @@
-"""The vehicle as a linear system, derived by d'Alembert's principle: independent of design/model/jacobian.py.
+"""Derive the vehicle as a linear system by d'Alembert's principle, independently of design/model/jacobian.py.
 
-Body axes at the core's CG, x forward, z down (pitch plane). The vehicle flies along x at speed U with
-specific axial force  a = (T - D) / m  and does not turn. Small: lateral speed w, rate q, pitch theta, modes
-eta_i, pendulum angles G_k (towards +z), engine angle delta. A particle at x (forward of the core's CG) with
-lateral displacement z has, to first order, the lateral and axial specific acceleration
+Body axes at the core's CG, x forward, z down (pitch plane). The vehicle flies along x at speed U with the specific
+axial force a = (T - D) / m and does not turn. Small quantities: lateral speed w, rate q, pitch theta, modes eta_i,
+pendulum angles G_k (towards +z), engine angle delta. To first order, a particle at x (forward of the core's CG) with
+lateral displacement z has the lateral and axial specific accelerations
 
     f_z = s - x q' + z'',   s = w' - U q + g sin(theta_0) theta,      f_x = a.
 
-The constant g cos(theta_0) moves every particle alike and is left out: it is what bends the path (a gravity
-turn). Under a virtual motion  dZ, dTheta, d(eta_i), d(G_k)  the particle moves  dZ - x dTheta + dz  laterally
-and z dTheta + dx  along the axis, dx being of second order: that of a pendulum rising, of an engine swinging
-out, of a beam that bends and so draws its ends together. Sum m (f_z, f_x) . (displacement) = work of the
-loads, with
+The constant g cos(theta_0) accelerates all particles equally and curves the path (gravity turn); it is omitted. Under a
+virtual motion dZ, dTheta, d(eta_i), d(G_k) the particle moves dZ - x dTheta + dz laterally and z dTheta + dx along the
+axis. dx is of second order: a pendulum rises, an engine swings out, and bending shortens a beam. Sum m (f_z, f_x) .
+(displacement) equals the work of the loads, with
 
     core      z = sum phi_i(x) eta_i, modes free-free: sum m phi = sum m x phi = 0, sum m phi_i phi_j = M_i
-              for i = j, else 0; bending draws its points together: work  -a K_ij eta_j d(eta_i),  K the
-              softening matrix (erratum 4), the engine behind the gimbal hanging and so stiffening
-    engine    on top of the core that holds it straight: a point r behind the gimbal moves by -r delta, and
-              forward by r (sigma_T eta - delta)^2 / 2, sigma_T the slope there
+              for i = j, else 0; shortening by bending: work  -a K_ij eta_j d(eta_i),  K the softening
+              matrix (erratum 4), which the engine hanging behind the gimbal stiffens
+    engine    in addition to the core that contains it straight: a point r behind the gimbal moves by -r delta,
+              and forward by r (sigma_T eta - delta)^2 / 2, sigma_T the slope there
     bob       x_b = x_h - L,  z = phi_h eta + L G,  and it rises by L G^2 / 2
 
-which gives the mass matrix `_mass_matrix`, the axial-load terms of `_stiffness`, and for the engine (I_E
-about the gimbal, S = m_E l_E, l_C from the core's CG aft to the gimbal, errata 8)
+From this follow the mass matrix `_mass_matrix`, the axial-load terms of `_stiffness`, and for the engine (I_E about the
+gimbal, S = m_E l_E, l_C from the core's CG aft to the gimbal, erratum 8)
 
     lateral  S delta''        rotation  (I_E + S l_C) delta'' + a S delta
     mode i   (S phi_T,i + I_E sigma_T,i) delta'' + a S sigma_T,i delta.
 
-The engine's rate does not enter. Loads: thrust T at the displaced gimbal along the bent axis, (x, z) parts
-T (1, delta - sigma_T eta): moment T l_C (delta - sigma_T eta) + T phi_T eta (erratum 4). Each lifting
-surface: -q S CN_alpha (w/U + sigma_s eta + phi_s eta' / U) at its station. Rate damping Cmq (7). Drag along
-the wind: -q S CD w/U. Gravity does no work on a free-free mode (erratum 3). Modal damping. Mass flow:
-`_mass_flow`.
+The engine's rate has no effect. Loads: thrust T at the displaced gimbal along the bent axis, with (x, z) components T
+(1, delta - sigma_T eta): moment T l_C (delta - sigma_T eta) + T phi_T eta (erratum 4). Each lifting surface: -q S
+CN_alpha (w/U + sigma_s eta + phi_s eta' / U) at its station. Rate damping Cmq (7). Drag along the wind: -q S CD w/U.
+Gravity does no work on a free-free mode (erratum 3). Modal damping. Mass flow: `_mass_flow`.
 
-Slosh damping is a force between bob and tank; its work is  -2 zeta w L m_p L G' d(G): it enters the
-pendulum's row only. In the language of (24) and (27) it reacts on the vehicle where the bob is:
+Slosh damping is a force between bob and tank with the work -2 zeta w L m_p L G' d(G), so it appears only in the
+pendulum's row. In the notation of (24) and (27) it reacts on the vehicle at the bob:
 
-    M_S = - sum m_p [ a l_p G + 2 zeta w L (l_p - L) G' ],
+    M_S = - sum m_p [ a l_p G + 2 zeta w L (l_p - L) G' ].
 
-not with the hinge's arm l_p for both as (27) prints - a further erratum: the rod's pull acts at the hinge,
-the liquid's friction at the bob, l_p - L forward of the CG (equivalently: a torque about the hinge has a
-reaction that is a couple, and moves the force's line of action from hinge to bob). The printed form does not
-conserve angular momentum: its pair of damping forces is not on one line.
+(27) prints the hinge's arm l_p for both terms, a further erratum. The rod's pull acts at the hinge, the liquid's
+friction at the bob, l_p - L forward of the CG. Equivalently, the reaction of a torque about the hinge is a couple,
+which moves the force's line of action from hinge to bob. The printed pair of damping forces is not on one line, so it
+does not conserve angular momentum.
 """
 
 from __future__ import annotations
@@ -61,7 +59,7 @@ from maxq.design.model.state_space import StateSpace
 
 @dataclass(frozen=True)
 class _Layout:
-    """The places of the coordinates in the second-order system: lateral, rotation, modes, pendulums."""
+    """The indices of the coordinates in the second-order system: lateral, rotation, modes, pendulums."""
 
     modes: int
     tanks: int
@@ -121,7 +119,7 @@ def _mass_matrix(vehicle: PlanarVehicle, at: _Layout) -> Array:
 
 
 def _stiffness(vehicle: PlanarVehicle, condition: FlightCondition, load: float, at: _Layout) -> Array:
-    """Forces lost per unit of displacement: elastic, axial load, thrust and angle of attack of the bent body."""
+    """Return the restoring force per displacement: elastic, axial load, thrust and angle of attack of the bent body."""
     modes, bobs, engine = vehicle.modes, vehicle.pendulums, vehicle.engine
     k = np.zeros((at.size, at.size))
     k[at.mode, at.mode] += np.diag(modes.generalized_mass_kg * modes.omega_radps**2)
@@ -141,7 +139,7 @@ def _stiffness(vehicle: PlanarVehicle, condition: FlightCondition, load: float, 
 
 
 def _damping(vehicle: PlanarVehicle, condition: FlightCondition, load: float, at: _Layout) -> Array:
-    """Return the forces lost per unit of rate; column 0 is that of w."""
+    """Return the resisting force per rate; column 0 is that of w."""
     modes, bobs, air = vehicle.modes, vehicle.pendulums, vehicle.aerodynamics
     c = np.zeros((at.size, at.size))
     c[at.mode, at.mode] += np.diag(2.0 * modes.damping_ratio * modes.omega_radps * modes.generalized_mass_kg)
@@ -160,7 +158,10 @@ def _damping(vehicle: PlanarVehicle, condition: FlightCondition, load: float, at
 def _surfaces(
     vehicle: PlanarVehicle, condition: FlightCondition, at: _Layout
 ) -> list[tuple[Array, tuple[Array, Array]]]:
-    """Per lifting surface: generalised force per local lateral speed; that speed per rate, U per bend."""
+    """Return, for each lifting surface, the generalised force per local lateral speed, and the speed's rows.
+
+    The rows are that speed per rate and, divided by U, per deflection.
+    """
     air, modes, out = vehicle.aerodynamics, vehicle.modes, []
     flow = 0.5 * condition.density_kgpm3 * condition.airspeed_mps * air.area_m2
     for k, slope in enumerate(air.slope_pr):
@@ -176,18 +177,17 @@ def _surfaces(
 
 
 def _mass_flow(vehicle: PlanarVehicle, at: _Layout) -> Array:
-    """Return the generalised forces lost per pitch rate to the flow through the turning vehicle (jet damping).
+    """Return the generalised forces per pitch rate due to the flow through the turning vehicle (jet damping).
 
-    The core is a vessel through which mass flows. Reynolds' transport theorem with the Coriolis acceleration
-    2 w x v_rel inside gives for the body point at its CG, and about it (W. T. Thomson, Introduction to Space
-    Dynamics, ch. 7),
+    The core is a vessel with mass flow through it. Reynolds' transport theorem with the internal Coriolis acceleration
+    2 w x v_rel gives, for the body point at its CG and about it (W. T. Thomson, Introduction to Space Dynamics, ch. 7),
 
         m a = F - 2 w x P,   P = m dc/dt + sum of outflow times place,
         I q' = M - (dI/dt + sum of outflow times place^2) q,
 
-    places forward of the CG, c the CG in the body. The gas leaves at the nozzle's exit. Liquid also goes over
-    from the bobs, which shrink, to the core, where they are; and the bobs travel aft with the liquid's
-    surface, which gives them a Coriolis acceleration.
+    with places forward of the CG and c the CG in the body. The gas leaves at the nozzle exit. Liquid also moves from
+    the shrinking bobs to the core, at the bobs. The bobs move aft with the liquid surface, which gives them a Coriolis
+    acceleration.
     """
     bobs = vehicle.pendulums
     momentum, turning = mass_flow_momentum(vehicle)
@@ -215,7 +215,7 @@ def _gimbal_arm(vehicle: PlanarVehicle) -> float:
 
 
 def _engine_columns(vehicle: PlanarVehicle, condition: FlightCondition, load: float, at: _Layout) -> Array:
-    """Return the generalised force per engine angle and per engine acceleration."""
+    """Return the generalised forces per engine angle and per engine acceleration."""
     engine, modes, arm = vehicle.engine, vehicle.modes, _gimbal_arm(vehicle)
     thrust, inertia = engine.thrust_N(condition.pressure_Pa), engine.inertia_about_gimbal_kgm2
     first_moment = engine.gimballed_mass_kg * engine.cg_from_gimbal_m

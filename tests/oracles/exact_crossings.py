@@ -1,9 +1,9 @@
-"""Crossings of a rational loop as roots of polynomials, in arithmetic of 200 digits, which Sturm's chain
-counts: none is missed, however close.
+"""Find the crossings of a rational loop as roots of polynomials in 200-digit arithmetic.
 
-L = N / D from the state space (float64 entries taken as exact): D = det(x - A), N = det(x - A + b c) - D + d D. With
-x = exp(j t) both |N|^2 - |D|^2 and Im N D* are trigonometric polynomials, sums of cos k t and sin k t, which are T_k
-and sin t U_(k-1) in y = cos t; with x = j w they are polynomials in w^2, the second one times w.
+Sturm's chain counts the roots, so none is missed, however close two are. L = N / D follows from the state space
+(float64 entries taken as exact): D = det(x - A), N = det(x - A + b c) - D + d D. With x = exp(j t), both |N|^2 - |D|^2
+and Im N D* are trigonometric polynomials, sums of cos k t and sin k t, which are T_k and sin t U_(k-1) in y = cos t.
+With x = j w they are polynomials in w^2, the second one times w.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def numerator_and_denominator(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: fl
 def crossings(
     a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, sample_s: float | None, highest: float = 2e4
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frequencies (Hz) of |L| = 1, of real L other than at the ends, and L at the latter; up to `highest` rad/s."""
+    """Return the frequencies (Hz) of |L| = 1 and of interior real L up to `highest` rad/s, and L at the latter."""
     with mp.workdps(DIGITS):
         n, q = numerator_and_denominator(a, b, c, d)
         if sample_s is None:
@@ -75,7 +75,7 @@ def response(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, sample_s: fl
 
 
 def real_roots(p: list[mpf], low: mpf, high: mpf) -> list[mpf]:
-    """Return the roots of a polynomial (rising powers) between two points, to 15 digits; double ones once."""
+    """Return the roots of a polynomial (rising powers) between two points to 15 digits; double roots once."""
     while p[-1] == 0:
         p = p[:-1]
     chain = [p, [k * x for k, x in enumerate(p)][1:]]
@@ -145,7 +145,7 @@ def _along_axis(n: list[mpf], q: list[mpf]) -> tuple[list[mpf], list[mpf]]:
     """Return both polynomials in w^2, in rising powers."""
 
     def parts(p: list[mpf]) -> tuple[list[mpf], list[mpf]]:
-        """Return the even and odd part of p(j w), the latter over w, in w^2."""
+        """Return the even part of p(j w), and the odd part divided by w, in w^2."""
         return [x * (-1) ** k for k, x in enumerate(p[::2])], [x * (-1) ** k for k, x in enumerate(p[1::2])]
 
     def times(u: list[mpf], v: list[mpf], shift: int = 0) -> list[mpf]:

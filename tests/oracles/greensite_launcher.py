@@ -1,8 +1,8 @@
-"""Greensite's launcher at one instant, in python-control, by the equations of the courses that publish it.
+"""Model Greensite's launcher at one instant with python-control, from the equations of the published courses.
 
-States z, z', theta, theta', q, q'; inputs are the gimbal angle and the angle of attack of the wind. No code of maxq.
-The loop is opened at the gimbal angle, with filter, actuator and the exact delay. The signs of the law are those
-published: delta = -(k_theta theta + k_thetad theta' + k_z z + k_zd z').
+States z, z', theta, theta', q, q'; inputs are the gimbal angle and the angle of attack of the wind. No code of maxq is
+used. The loop is opened at the gimbal angle, with filter, actuator and the exact delay. The law has the published
+signs: delta = -(k_theta theta + k_thetad theta' + k_z z + k_zd z').
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SCENARIOS = Path(__file__).parents[2] / "scenarios" / "points"
 
 @dataclass(frozen=True)
 class Law:
-    """The published gains, and a filter (zeros and poles at one frequency, rad/s, with these damping ratios)."""
+    """The published gains, and a filter: zeros and poles at one frequency (rad/s) with these damping ratios."""
 
     k_theta: float
     k_thetad: float
@@ -37,7 +37,7 @@ class Law:
 
 
 def coefficients(time_s: float) -> dict[str, float]:
-    """Return the numbers of both files at a time, linear between rows."""
+    """Return the values of both files at a time, interpolated linearly between rows."""
     out: dict[str, float] = {}
     for name in ("greensite.csv", "greensite-mode.csv"):
         lines = [x for x in (SCENARIOS / name).read_text().splitlines() if not x.startswith("#")]
@@ -48,9 +48,9 @@ def coefficients(time_s: float) -> dict[str, float]:
 
 
 def plant(p: dict[str, float], zeta: float = 0.005, turn: float = 0.0) -> control.StateSpace:
-    """From gimbal angle and angle of attack of the wind to the measured theta, theta', z, z', then alpha.
+    """Return the plant from gimbal angle and angle of attack of the wind to measured theta, theta', z, z', and alpha.
 
-    `turn` is the rotational acceleration per modal displacement of a thrust line that follows the bent body.
+    `turn` is the rotational acceleration per modal displacement due to a thrust line that follows the bent body.
     """
     v, w = p["V_mps"], p["omega_radps"]
     a = np.zeros((6, 6))
@@ -68,7 +68,7 @@ def plant(p: dict[str, float], zeta: float = 0.005, turn: float = 0.0) -> contro
 
 
 def before(law: Law, delay_s: float = 0.02, order: int = 0) -> control.TransferFunction:
-    """Filter and actuator, and the delay as a Pade approximation of that order; without it for 0."""
+    """Return the filter and actuator with the delay as a Pade approximation of an order; 0: no delay."""
     out = control.tf([4900.0], [1.0, 98.0, 4900.0])
     if law.notch is not None:
         w, zero, pole = law.notch
@@ -84,14 +84,14 @@ def loop(p: dict[str, float], law: Law, radps: np.ndarray, delay_s: float = 0.02
 
 
 def closed_poles(p: dict[str, float], law: Law, order: int = 4, **of: float) -> np.ndarray:
-    """Return the poles of the closed loop, with a Pade delay of that order."""
+    """Return the poles of the closed loop with a Pade delay of an order."""
     whole = control.ss(before(law, order=order)) * control.ss([], [], [], law.gains[None]) * plant(p, **of)[:4, 0]
     return np.asarray(control.feedback(whole, 1).poles())
 
 
 @dataclass(frozen=True)
 class RigidMargins:
-    """As HM3 classifies them: below, at and above the last crossover of the rigid body."""
+    """The margins as HM3 classifies them: below, at and above the last crossover of the rigid body."""
 
     lower_db: float
     phase_deg: float
@@ -101,7 +101,7 @@ class RigidMargins:
 
 
 def margins(p: dict[str, float], law: Law, **of: float) -> RigidMargins:
-    """Return the margins from 0.3 rad/s to 0.8 of the mode's frequency."""
+    """Return the margins between 0.3 rad/s and 0.8 of the mode's frequency."""
     radps = np.geomspace(0.3, 0.8 * p["omega_radps"], 600)
     found = loop(p, law, radps, **of)
 
@@ -126,10 +126,11 @@ def flown(
     wind_mps: Callable[[float], float] = lambda _: 0.0,
     step_s: float = 0.02,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The linear flight with coefficients and law that vary in time: times, and z, z', theta, theta', q, q', alpha.
+    """Fly the linear system with time-varying coefficients and law.
 
-    `start` holds the first six. The filter is a pair of integrators with its frequency; the delay is Pade's of order 4.
-    Each step is exact for the coefficients in its middle.
+    Returns the times, and z, z', theta, theta', q, q', alpha. `start` contains the first six. The filter is a pair of
+    integrators with its frequency; the delay is a Pade approximation of order 4. Each step is exact for the
+    coefficients at its middle.
     """
     times = np.linspace(*span_s, round((span_s[1] - span_s[0]) / step_s) + 1)
     middles = 0.5 * (times[:-1] + times[1:])

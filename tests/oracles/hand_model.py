@@ -1,4 +1,4 @@
-"""The published planar equations of a node's vehicle: an independent derivation of its linear model."""
+"""Build the published planar equations for an operating point: an independent derivation of its linear model."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from maxq.sim.packing.flight import Packed
 
 
 def planar_of(node: Node) -> PlanarVehicle:
-    """Return the vehicle that the tables of a node give, in its plane, with all actuators alike; no deviations."""
+    """Return the vehicle of an operating point's tables in its plane, without deviations; all actuators are alike."""
     held = node.held
     packed = Packed(held.parameters, held.pool, blank(Memory), node.held.properties[0], held.sizes)
     planar = vehicle_at(packed, 0.0, node.condition.mach, node.plane, 0, node.trim)

@@ -1,13 +1,13 @@
-"""Margins of a design that simvehicle and simdesign made, without design/loop and design/margins.
+"""Compute the margins of a design by simvehicle or simdesign without design/loop and design/margins.
 
-The vehicle is derived by d'Alembert's principle (`dalembert_plant`), its engines are joined into one on the axis, the
-actuator is of second order, the gyro as in `pitch_plane`; the loop is sampled with matrix exponentials and measured on
-a fine grid (`sampled_pitch_loop`). Gains and filter are read from the design file, actuator, gyro and computer from the
-vehicle file. Flight condition and tables at an operating point are the simulator's.
+The vehicle is derived by d'Alembert's principle (`dalembert_plant`) with its engines joined into one on the axis. The
+actuator is of second order, and the gyro is that of `pitch_plane`. The loop is sampled with matrix exponentials and
+measured on a fine grid (`sampled_pitch_loop`). The design file gives gains and filter, the vehicle file actuator, gyro
+and computer. Flight condition and tables at an operating point are the simulator's.
 
-Limits of validity: engines alike and parallel to the axis, planar modes, no TVC load, one gyro, `law = "pd"`
-with quadratic sections, operating points at rows of the gain table. The joined engine leaves out the distance of the
-nozzles from the axis in the damping by the jet.
+Limits of validity: equal engines parallel to the axis, planar modes, no TVC load, one gyro, `law = "pd"` with quadratic
+sections, operating points at rows of the gain table. The joined engine omits the distance of the nozzles from the axis
+in jet damping.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SUMMED = ("vacuum_thrust_N", "exit_area_m2", "gimballed_mass_kg", "inertia_about
 
 @dataclass(frozen=True)
 class Evaluated:
-    """An operating point: `node` as the product has it, margins and the largest magnitude of a closed pole in z."""
+    """An operating point of the product (`node`), its margins and the largest magnitude of a closed-loop pole in z."""
 
     node: Node
     margins: Margins
@@ -42,7 +42,7 @@ class Evaluated:
 
 
 def evaluate(folder: Path, design_file: Path, every: int = 1) -> list[Evaluated]:
-    """Return the margins at every `every`-th row of every stage's gain table, in pitch and in yaw."""
+    """Return the margins at each `every`-th row of every stage's gain table, in pitch and yaw."""
     scenario = load_scenario(folder / "scenario.toml", [f'design="{design_file.resolve().as_posix()}"'])
     design = tomllib.loads(design_file.read_text(encoding="utf-8"))
     vehicle = tomllib.loads((folder / "vehicle" / "vehicle.toml").read_text(encoding="utf-8"))
@@ -69,7 +69,10 @@ def evaluate(folder: Path, design_file: Path, every: int = 1) -> list[Evaluated]
 
 
 def _plant(node: Node, stage: dict[str, Any]) -> Linear:
-    """Gimbal command (rad) to the integral of the gyro's output (rad): states of the vehicle, actuator, gyro."""
+    """Return the plant from gimbal command (rad) to the integral of the gyro's output (rad).
+
+    States: vehicle, actuator, gyro.
+    """
     planar = planar_of(node)
     total = {name: sum(getattr(engine, name) for engine in planar.engines) for name in SUMMED}
     joined = dataclasses.replace(planar, engines=(dataclasses.replace(planar.engine, **total),))
@@ -91,7 +94,7 @@ def _plant(node: Node, stage: dict[str, Any]) -> Linear:
 
 
 def _angle_at_gyro(rate: np.ndarray[Any, Any], modes: int) -> np.ndarray[Any, Any]:
-    """Integral of the local rate of a body with states w, q, theta, eta, eta', ...: its terms in theta and eta."""
+    """Return the integral of the local rate of a body with states w, q, theta, eta, ...: terms in theta and eta."""
     out = np.zeros_like(rate)
     out[2], out[3 : 3 + modes] = rate[1], rate[3 + modes : 3 + 2 * modes]
     return out

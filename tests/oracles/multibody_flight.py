@@ -1,4 +1,4 @@
-"""Fly the multibody system with SciPy's DOP853 on an oracle's accelerations: for conservation tests."""
+"""Fly the multibody system with SciPy's DOP853 on an oracle's accelerations, for conservation tests."""
 
 from __future__ import annotations
 
@@ -63,11 +63,11 @@ def fly(
     samples: int = 5,
     tolerance: float = 1e-11,
 ) -> tuple[list[State], Floats]:
-    """Return the states at `samples` equal instants (both ends included) and the actuators' work in J up to each.
+    """Return the states at `samples` equally spaced instants, both ends included, and the actuators' work in J.
 
-    `load` stays constant in its axes; `deflection(t)` gives (pitch, yaw) angle, rate and acceleration in
-    radians, otherwise the gimbal angles stay as in `start` and must be at rest there. Raises RuntimeError
-    when the integrator gives up.
+    `load` stays constant in its axes. `deflection(t)` gives (pitch, yaw) angle, rate and acceleration in radians.
+    Without it, gimbal angles stay as in `start` and must be at rest there. Raises RuntimeError when the integrator
+    fails.
     """
     loads = load or Load()
 

@@ -1,22 +1,22 @@
-"""Oracle: the same multibody system without bending, built as an MJCF model and solved by MuJoCo.
+"""Solve the multibody system without bending with MuJoCo, from an MJCF model.
 
-Core on a free joint with its frame at C0, engine on hinges at the gimbal, bobs on ball joints at their
-hinges. Only MuJoCo's mass matrix (`mj_mulM`) and bias force (`qfrc_bias`: Coriolis, centrifugal, gravity)
-are taken; the accelerations follow from them with the engine's given ones moved to the right-hand side.
-`mj_mulM` is used and not `mj_fullM`, whose arguments changed between MuJoCo 3 and 4.
+The core is on a free joint with its frame at C0, the engine on hinges at the gimbal, and bobs on ball joints at their
+hinges. Only MuJoCo's mass matrix (`mj_mulM`) and bias force (`qfrc_bias`: Coriolis, centrifugal, gravity) are used; the
+accelerations follow from them with the engine's prescribed ones moved to the right-hand side. `mj_fullM` is avoided
+because its arguments changed between MuJoCo 3 and 4.
 
-MuJoCo's conventions: a free joint's qvel is (velocity of the frame origin in world axes, angular velocity in
-body axes), a ball joint's is the child's angular velocity relative to its parent in child axes; several
-joints of one body act from the first (outermost) to the last. World is I.
+MuJoCo's conventions: the qvel of a free joint is (velocity of the frame origin in world axes, angular velocity in body
+axes), that of a ball joint the child's angular velocity relative to its parent, in child axes. Several joints of one
+body act from the first (outermost) to the last. The world is I.
 
-Two things differ from the defined system:
-- A bob needs inertia. It gets `bob_inertia_ratio` * m L^2, isotropic, about its own centre. The
-  accelerations differ from the defined system's in proportion to that ratio; a test measures it.
-- Two hinges turn an engine about its own axis d by the rate dpdot * sin(dy); the definition's angular
-  velocity d x ddot has none. A third hinge along d takes it away (`roll_free_gimbal`); without it, the
-  core feels the rate of change of the angular momentum I_t dpdot sin(dy) d as well.
-Limits: no mode pairs; the core without its engine must keep a physical inertia tensor, and a bob's m L^2 must
-stay above 1e-15 / `bob_inertia_ratio` kg m^2 (MuJoCo's least inertia).
+Two properties differ from the defined system:
+- A bob needs inertia. It has `bob_inertia_ratio` * m L^2, isotropic, about its own centre. The accelerations differ
+  from the defined system's in proportion to that ratio; a test measures this.
+- Two hinges turn an engine about its own axis d at the rate dpdot * sin(dy), while the definition's angular velocity
+  d x ddot has no such component. A third hinge along d removes it (`roll_free_gimbal`). Without it, the rate of change
+  of the angular momentum I_t dpdot sin(dy) d also acts on the core.
+Limits: no mode pairs; the core without its engine must have a physical inertia tensor, and a bob's m L^2 must stay
+above 1e-15 / `bob_inertia_ratio` kg m^2 (MuJoCo's least inertia).
 """
 
 from __future__ import annotations
@@ -99,7 +99,10 @@ def _model(text: str) -> mujoco.MjModel:
 def _set_up(
     vehicle: Vehicle, state: State, gravitation: Floats, ratio: float, roll_free_gimbal: bool
 ) -> tuple[mujoco.MjModel, mujoco.MjData, list[Floats], list[Floats]]:
-    """Return the model and data at the state; per pendulum C_B,child and the child's rate relative to B, child axes."""
+    """Return the model and data at the state, and for each pendulum C_B,child and the child's rate relative to B.
+
+    The rate is in child axes.
+    """
     model = _model(model_text(vehicle, ratio, roll_free_gimbal))
     model.opt.gravity[:] = gravitation
     data = mujoco.MjData(model)
@@ -135,7 +138,8 @@ def accelerations(
 ) -> dict[str, Floats]:
     """Return the results of `multibody_sympy.accelerations`, with empty etaddot and xiddot.
 
-    `actuator_torque_Nm` is left out when the gimbal may roll: MuJoCo's third hinge would share the torque.
+    `actuator_torque_Nm` is missing when the gimbal may roll, because MuJoCo's third hinge would carry part of the
+    torque.
     """
     load = load or Load()
     model, data, rotations, rates = _set_up(
@@ -197,7 +201,7 @@ def energy(
 ) -> dict[str, float]:
     """Return MuJoCo's kinetic and potential energy in J, with the keys of `multibody_sympy.energy`.
 
-    Kinetic energy includes the engine in full; potential is zero with all masses in the plane of I's origin.
+    Kinetic energy includes the whole engine; potential energy is zero with all masses in the plane of I's origin.
     """
     gravitation = np.zeros(3) if gravitation_I_mps2 is None else gravitation_I_mps2
     model, data, _, _ = _set_up(vehicle, state, gravitation, bob_inertia_ratio, roll_free_gimbal)

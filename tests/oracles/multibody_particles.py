@@ -1,13 +1,13 @@
-"""Oracle: bending checked from below, by a core made of particles on the x axis, with Kane's method.
+"""Check bending with a core made of particles on the x axis, by Kane's method.
 
-Every velocity of every particle is exact; no modal energy is assumed. The shapes are orthogonal to 1 and x and to each
-other under the particles' masses, as free-free modes are. The kinetic energy of this core is therefore the defined one
-plus exactly M (q eta - r xi)^2 / 2 per pair, the axial velocity which the definition drops. At eta = xi = 0 that term
-has no part in the equations of motion: there both agree to rounding, at any rates.
+Every velocity of every particle is exact, and no modal energy is assumed. The shapes are orthogonal to 1, to x and to
+each other under the particles' masses, as free-free modes are. The kinetic energy of this core is therefore the defined
+one plus exactly M (q eta - r xi)^2 / 2 per pair, from the axial velocity that the definition omits. At eta = xi = 0
+this term has no effect on the equations of motion, and both agree to rounding at any rates.
 
-A moving engine is one more particle (its own inertia must be zero). The definition also drops
-m_E (0, q, r) x Delta . (flexible velocity) and the turn of Delta with the bent mount; the first vanishes where the
-deflection and its rate are zero, the second is off unless `mount_turns_engine` asks for it.
+A moving engine is one more particle (its own inertia must be zero). The definition also omits m_E (0, q, r) x Delta .
+(flexible velocity) and the rotation of Delta with the bent mount. The first vanishes where the deflection and its rate
+are zero; the second is absent unless `mount_turns_engine` is set.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Flexible = Callable[[Floats, Floats], tuple[Floats, Floats, Floats]]
 
 @dataclass(frozen=True)
 class Beam:
-    """Particles: masses (N,), x_B (N,) with CG at zero, shapes (n_pairs, N); a rotor of pure inertia."""
+    """Particles: masses (N,), x_B (N,) with CG at zero, shapes (n_pairs, N); and a rotor of pure inertia."""
 
     mass_kg: Floats
     x_B_m: Floats
@@ -33,7 +33,7 @@ class Beam:
 
 
 def free_free_beam(mass_kg: Floats, x_B_m: Floats, n_pairs: int, rotor_kgm2: Floats) -> Beam:
-    """Return the shapes from powers of x by Gram-Schmidt under the masses; each is 1 at the last particle."""
+    """Return a beam with shapes from powers of x by Gram-Schmidt under the masses; each is 1 at the last particle."""
     x = x_B_m - mass_kg @ x_B_m / mass_kg.sum()
     span = np.ptp(x)
     basis: list[Floats] = []
@@ -71,7 +71,7 @@ def _skew(r: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class _Particle:
-    """Position in B, its B rates, and its partial velocities in the generalised speeds beyond v0 and w."""
+    """A particle: position in B, its rates in B, and partial velocities in the speeds beyond v0 and w."""
 
     mass: float
     position: Floats
@@ -83,10 +83,10 @@ class _Particle:
 def accelerations(
     beam: Beam, vehicle: Vehicle, state: State, load: Load | None = None, *, mount_turns_engine: bool = False
 ) -> dict[str, Floats]:
-    """Return the keys and units of `multibody_sympy.accelerations`, without the actuators' torque.
+    """Return the accelerations with keys and units of `multibody_sympy.accelerations`, without the actuators' torque.
 
-    `vehicle` must describe the same core: mass, `inertia(beam)`, `mode_pairs(beam, ...)`, engine on the axis.
-    Raises ValueError for an engine with inertia about its own CG.
+    `vehicle` must describe the same core: mass, `inertia(beam)`, `mode_pairs(beam, ...)`, engine on the axis. Raises
+    ValueError for an engine with inertia about its own CG.
     """
     load = load or Load()
     n, k = len(vehicle.pairs), len(vehicle.pendulums)
@@ -167,7 +167,7 @@ def accelerations(
 
 
 def _engine_offset(engine: Engine, state: State) -> tuple[Floats, Floats, Floats]:
-    """Return delta, its rate and second rate in B, by the chain rule on d's angles."""
+    """Return delta and its first and second rates in B, by the chain rule on the angles of d."""
     (dp, dy), (p, y), (pp, yy) = state.deflection_rad, state.deflection_radps, state.deflection_radps2
     cp, sp_, cy, sy = np.cos(dp), np.sin(dp), np.cos(dy), np.sin(dy)
     d_p, d_y = np.array([-sp_ * cy, 0.0, cp * cy]), np.array([-cp * sy, -cy, -sp_ * sy])

@@ -1,15 +1,14 @@
-"""Oracle: the equations of motion by Lagrange's method, derived by SymPy from the energies alone.
+"""Derive the equations of motion by Lagrange's method with SymPy, from energies alone.
 
-Nothing here is written as a force balance. The Lagrangian is a sum of pieces (core, engine, one per mode
-pair, one per pendulum); Lagrange's operator is linear, so each piece is derived once, in true generalised
-coordinates, and the pieces are added over a constant selection of coordinates. Any number of mode pairs and
-pendulums costs the same derivation.
+No force balance is written. The Lagrangian is a sum of pieces (core, engine, one per mode pair, one per pendulum).
+Lagrange's operator is linear, so each piece is derived once, in true generalised coordinates, and the pieces are added
+over a constant selection of coordinates. The derivation is the same for any number of mode pairs and pendulums.
 
-Coordinates: position of C0 in I' (3), 3-2-1 Euler angles of B relative to I' (yaw, pitch, roll), eta and xi
-of each pair, two angles per pendulum, gimbal angles (their accelerations are given, so their rows yield the
-actuator's generalised torque instead). I' is I turned by a constant rotation, and each pendulum's angles
-are measured from a constant axis: both charts are placed again at every call, so no state is singular. The
-answer must not depend on the chart; a test moves it.
+Coordinates: position of C0 in I' (3), 3-2-1 Euler angles of B relative to I' (yaw, pitch, roll), eta and xi of each
+pair, two angles per pendulum, and gimbal angles, whose accelerations are given, so that their rows yield the actuator's
+generalised torque. I' is I turned by a constant rotation, and each pendulum's angles are measured from a constant axis.
+Both charts are placed again at every call, so no state is singular. The result must not depend on the chart; a test
+moves it.
 
 Energies (rigid velocity v0 of C0 and w = (p, q, r), all in B; nu_eta = etadot + p xi, nu_xi = xidot - p eta):
     core      m0 |v0|^2 / 2 + w' J w / 2
@@ -21,8 +20,8 @@ Energies (rigid velocity v0 of C0 and w = (p, q, r), all in B; nu_eta = etadot +
               m_E (Deltadot + p x cross Delta) . (0, phi_Ey nu_xi, phi_Ez nu_eta)
               + I_t (d x ddot) . (0, sz nu_eta, -sy nu_xi)
 Modal damping acts on etadot and xidot, pendulum damping on L udot_B; both are internal.
-Limits: parameters frozen in time; terms of order (q, r) * bending of the core, (q, r) * Delta * bending and the turn of
-Delta with the bent mount dropped by definition.
+Limits: parameters frozen in time; by definition no terms of order (q, r) * bending of the core or
+(q, r) * Delta * bending, and no rotation of Delta with the bent mount.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ _X_HAT = sp.Matrix([1, 0, 0])
 
 
 def _euler_rotation() -> sp.Matrix:
-    """Return C_I'B for yaw, pitch and roll in this order."""
+    """Return C_I'B for yaw, pitch and roll, in this order."""
     psi, theta, phi = _E
     return (
         sp.Matrix([[sp.cos(psi), -sp.sin(psi), 0], [sp.sin(psi), sp.cos(psi), 0], [0, 0, 1]])
@@ -97,8 +96,8 @@ def _without_squares_of_cosines(expression: sp.Expr) -> sp.Expr:
 class _Piece:
     """A term of the Lagrangian.
 
-    `kinetic` is a function of the quasi-velocities `_V`, `_W`, the piece's own coordinates and their rates;
-    `potential` of position, attitude and the own coordinates.
+    `kinetic` is a function of the quasi-velocities `_V`, `_W`, of the coordinates of the piece and of their rates;
+    `potential` is a function of position, attitude and the coordinates of the piece.
     """
 
     kinetic: sp.Expr
@@ -124,7 +123,7 @@ class _Compiled:
 
 
 def _shared(name: str, derive: Callable[[], dict[str, Numeric]]) -> dict[str, Numeric]:
-    """Return the functions that `derive` makes by `sp.lambdify`, by their names.
+    """Return the functions that `sp.lambdify` makes of the expressions from `derive`, by name.
 
     The first process of a test run that needs them derives them, and the others load their source.
     """
@@ -295,7 +294,7 @@ def _derived_kinematics() -> dict[str, Numeric]:
 
 @dataclass(frozen=True)
 class _Chart:
-    """The present state in generalised coordinates."""
+    """The present state in generalised coordinates, in charts that are regular there."""
 
     q: Floats  # all coordinates: R, Euler, eta, xi, pendulum angles, gimbal angles
     q_dot: Floats
@@ -398,7 +397,7 @@ def _pieces(vehicle: Vehicle, axes: list[Floats]) -> list[tuple[_Compiled, Float
 
 
 def _shape(phi: Floats, n_pairs: int) -> Floats:
-    """A pendulum made without mode shapes rides on none of the modes."""
+    """Return the mode shapes of a pendulum; a pendulum without shapes is unaffected by all modes."""
     return phi if len(phi) else np.zeros(n_pairs)
 
 
@@ -423,9 +422,9 @@ def accelerations(
         wdot_B_radps2 (3,)           rate of the B components of w_BI
         etaddot_mps2, xiddot_mps2 (n_pairs,)
         uddot_B_1ps2 (n_pendulums, 3)  second rate of the B components of u
-        actuator_torque_Nm (2,)      generalised forces that make the gimbal angles accelerate as prescribed
-    The charts may be moved (yaw, pitch, roll; two pendulum angles; radians) without changing the answer.
-    `modal_z_N`, `modal_y_N` work on etadot, xidot; `moment_B_Nm` on w; `force_B_N` on the velocity of C0.
+        actuator_torque_Nm (2,)      generalised forces that give the gimbal angles their prescribed accelerations
+    The charts may be moved (yaw, pitch, roll; two pendulum angles; radians) without changing the result.
+    `modal_z_N`, `modal_y_N` do work on etadot, xidot; `moment_B_Nm` on w; `force_B_N` on the velocity of C0.
     """
     load = load or Load()
     n_pairs, n_pendulums = len(vehicle.pairs), len(vehicle.pendulums)
@@ -475,14 +474,14 @@ def accelerations(
 
 
 def _solve(mass: Floats, force: Floats) -> Floats:
-    """Solve with rows and columns scaled: kilograms and kilogram square metres differ by many orders."""
+    """Solve a linear system with scaled rows and columns: kg and kg m2 differ by many orders of magnitude."""
     scale = 1.0 / np.sqrt(np.diag(mass))
     scaled: Floats = scale * np.linalg.solve(mass * np.outer(scale, scale), scale * force)
     return scaled
 
 
 def energy(vehicle: Vehicle, state: State, gravitation_I_mps2: Floats | None = None) -> dict[str, float]:
-    """Return the kinetic and potential energy (strain and gravity) in J, from the Lagrangian's own pieces."""
+    """Return the kinetic and potential energy (strain and gravity) in J, from the pieces of the Lagrangian."""
     chart = _chart(state, EULER_CHART, PENDULUM_CHART)
     g_j = chart.C_IJ.T @ (np.zeros(3) if gravitation_I_mps2 is None else gravitation_I_mps2)
     v_b = state.C_IB.T @ state.v_I_mps
@@ -495,10 +494,10 @@ def energy(vehicle: Vehicle, state: State, gravitation_I_mps2: Floats | None = N
 
 
 def momentum(vehicle: Vehicle, state: State) -> dict[str, Floats]:
-    """Return the linear momentum dT/dv and angular momentum dT/dw, Noether's constants of the defined Lagrangian.
+    """Return the linear momentum dT/dv and angular momentum dT/dw, the Noether constants of the defined Lagrangian.
 
-    Returns `linear_I_Ns`, `angular_C0_B_Nms` (about C0, B axes) and `angular_I_Nms` (about the origin of I).
-    Limits: with bending they are those of the energies as defined, second-order terms dropped.
+    Returns `linear_I_Ns`, `angular_C0_B_Nms` (about C0, B axes) and `angular_I_Nms` (about the origin of I). Limits:
+    with bending, they follow from the energies as defined, without second-order terms.
     """
     chart = _chart(state, EULER_CHART, PENDULUM_CHART)
     v_b = state.C_IB.T @ state.v_I_mps

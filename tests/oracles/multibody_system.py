@@ -1,8 +1,8 @@
-"""The multibody system that the oracles share: parameters, state, loads. No equations of motion live here.
+"""Define the multibody system of the oracles: parameters, state and loads, without equations of motion.
 
-Core (rigid + bending), spherical pendulums and a gimballed engine; every parameter is frozen in time.
-Axes: B is x forward, y right, z down with its origin at C0, the CG of the core with the engine locked
-straight and the sloshing masses left out. `C_IB` turns B components into I components.
+Core (rigid and bending), spherical pendulums and a gimballed engine; every parameter is frozen in time. Axes: B is x
+forward, y right, z down with its origin at C0, the CG of the core with the engine locked straight and without the
+sloshing masses. `C_IB` turns B components into I components.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ class ModePair:
 
 @dataclass(frozen=True)
 class Pendulum:
-    """Point bob on a massless rod; the hinge rides on the core and on the modes.
+    """A point bob on a massless rod whose hinge moves with the core and the modes.
 
-    `damping_1ps` c: force on the bob = -c * mass * (velocity relative to the coincident core point).
-    `phi_z`, `phi_y`: shape of every mode pair at the hinge, shape (n_pairs,).
+    `damping_1ps` c: force on the bob = -c * mass * (velocity relative to the coincident core point). `phi_z`, `phi_y`:
+    shape of every mode pair at the hinge, shape (n_pairs,).
     """
 
     mass_kg: float
@@ -56,7 +56,7 @@ class Pendulum:
 
 @dataclass(frozen=True)
 class Engine:
-    """Gimballed engine: isotropic inertia about its own CG, which lies `length_m` behind the gimbal."""
+    """A gimballed engine with isotropic inertia about its own CG, which is `length_m` behind the gimbal."""
 
     mass_kg: float
     inertia_kgm2: float
@@ -66,7 +66,7 @@ class Engine:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """Core mass and inertia include the engine locked straight and exclude the pendulums."""
+    """A vehicle. The mass and inertia of the core include the engine locked straight and exclude the pendulums."""
 
     mass_kg: float
     inertia_B_kgm2: Floats
@@ -77,9 +77,9 @@ class Vehicle:
 
 @dataclass(frozen=True)
 class State:
-    """The simulator's quantities. Pendulum arrays have shape (n_pendulums, 3); deflections are (pitch, yaw).
+    """A state in the simulator's quantities. Pendulum arrays have shape (n_pendulums, 3); deflections are (pitch, yaw).
 
-    `u_B`: unit vectors hinge -> bob; `udot_B_1ps`: rates of their B components (seen from the body).
+    `u_B`: unit vectors from hinge to bob; `udot_B_1ps`: rates of their B components (relative to the body).
     """
 
     C_IB: Floats = field(default_factory=lambda: np.eye(3))
@@ -99,10 +99,10 @@ class State:
 
 @dataclass(frozen=True)
 class Load:
-    """Applied force at C0, moment, generalised force on every mode, and uniform gravitation on all masses.
+    """A load: force at C0, moment, generalised force on every mode, and uniform gravitation on all masses.
 
-    The modal forces do work on etadot and xidot at fixed body rates: the roll moment that a force on a
-    displaced station makes about C0 belongs into `moment_B_Nm` and is the caller's to include.
+    The modal forces do work on etadot and xidot at fixed body rates. The caller must add to `moment_B_Nm` the roll
+    moment about C0 of a force on a displaced station.
     """
 
     force_B_N: Floats = field(default_factory=lambda: _zeros(3))
@@ -156,5 +156,5 @@ def rotation_taking(a: Floats, b: Floats) -> Floats:
 
 
 def thrust_direction(pitch_rad: float, yaw_rad: float) -> Floats:
-    """d (3,) in B of the contract: positive angles make positive moments."""
+    """Return the thrust direction d (3,) in B as docs/model.md defines it: positive angles make positive moments."""
     return np.array([np.cos(pitch_rad) * np.cos(yaw_rad), -np.sin(yaw_rad), np.sin(pitch_rad) * np.cos(yaw_rad)])

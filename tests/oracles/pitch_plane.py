@@ -1,8 +1,8 @@
-"""KSR-III's pitch plane linearised at a frozen time, written apart from maxq.sim and maxq.design to contradict them.
+"""Linearise KSR-III's pitch plane at a frozen time, independently of maxq.sim and maxq.design.
 
-Reads the written vehicle back, evaluates it at a time of the fitted point-mass flight, and builds the paper's eqs 1 to
-29 with the corrections of its errata: sloshing masses taken out of the core, pendulum reaction and damping at the
-hinge, a gyro that senses d(eta)/dt, thrust that follows the bent tail, axial softening, engine inertia at the gimbal.
+The module reads the written vehicle, evaluates it at a time of the fitted point-mass flight, and builds the paper's eqs
+1 to 29 with the corrections of its errata: sloshing masses taken out of the core, pendulum reaction and damping at the
+hinge, a gyro that measures d(eta)/dt, thrust that follows the bent tail, axial softening, engine inertia at the gimbal.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Bending:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The vehicle at one time; core means the mass that does not slosh."""
+    """The vehicle at one time; the core excludes the sloshing masses."""
 
     time_s: float
     thrust_N: float
@@ -73,7 +73,7 @@ class Snapshot:
 
 
 class VehicleFolder:
-    """The tables of a vehicle folder, and of the point-mass flight in it."""
+    """The tables of a vehicle folder, and of its point-mass flight."""
 
     def __init__(self, folder: Path) -> None:
         self.description: dict[str, Any] = tomllib.loads((folder / "vehicle.toml").read_text(encoding="utf-8"))
@@ -87,7 +87,7 @@ class VehicleFolder:
 
 
 class ModeShapes:
-    """modes.csv: everything about the modes over time, shapes at the stations of the file."""
+    """The contents of modes.csv: modes over time, with shapes at the stations of the file."""
 
     def __init__(self, path: Path) -> None:
         rows = np.array(read_rows(path))
@@ -98,7 +98,7 @@ class ModeShapes:
         self._table = fit(times, grid.reshape(len(times), -1))
 
     def at(self, t: float) -> Array:
-        """(modes, stations, columns of the file)."""
+        """Return the shapes (modes, stations, columns of the file) at a time, s."""
         return self._table(t).reshape(self._shape[1:])
 
 
@@ -167,7 +167,7 @@ def _without_bobs(
 
 
 class _Shape:
-    """Mode shapes between stations, by the cubics that the beam's own elements use."""
+    """A mode shape between stations, by the cubics of the beam elements."""
 
     def __init__(self, stations_m: Array, phi: Array, slope_pm: Array) -> None:
         self._phi = CubicHermiteSpline(stations_m, phi, slope_pm, axis=1)
@@ -196,7 +196,7 @@ def _bending(vehicle: VehicleFolder, grid: Array, shape: _Shape, gyro_station_m:
 
 @dataclass(frozen=True)
 class Linear:
-    """dx/dt = a x + b u; the output is c x."""
+    """The linear system dx/dt = a x + b u with output c x."""
 
     a: Array
     b: Array
@@ -204,7 +204,7 @@ class Linear:
 
 
 def actuator(omega_hz: list[float], zeta: list[float]) -> Linear:
-    """Eq 28: command to gimbal angle, three blocks in a row; states are (value, rate) of each."""
+    """Return the actuator of eq 28, command to gimbal angle: three blocks in series, states (value, rate) each."""
     w1, w2, w3, w4 = 2 * np.pi * np.array(omega_hz)
     z1, z2, z3, z4 = zeta
     a = np.zeros((6, 6))
@@ -224,15 +224,14 @@ def actuator(omega_hz: list[float], zeta: list[float]) -> Linear:
 
 
 def gyro(omega_hz: float, zeta: float) -> Linear:
-    """Eq 29, from the angle at the gyro to the integral of the rate it reports (the same filter for both)."""
+    """Return the gyro of eq 29, from the angle at the gyro to the integral of its output (the same filter for both)."""
     w = 2 * np.pi * omega_hz
     a = np.array([[0.0, 1.0], [-w * w, -2 * zeta * w]])
     return Linear(a, np.array([0.0, w * w]), np.array([1.0, 0.0]))
 
 
 def vehicle(s: Snapshot) -> tuple[Array, Array, Array]:
-    """Return the state matrix (n, n), inputs (n, 2) for gimbal angle and its second derivative, and the angle at the
-    gyro (n,).
+    """Return the state matrix (n, n), inputs (n, 2) for gimbal angle and acceleration, and gyro angle (n,).
 
     State: w (m/s, body z), theta, q, pendulum angles, eta, pendulum rates, d(eta)/dt. Angles are
     perturbations in rad.
@@ -260,7 +259,7 @@ def vehicle(s: Snapshot) -> tuple[Array, Array, Array]:
 
 
 class _Layout:
-    """The places of the states."""
+    """The indices of the states."""
 
     def __init__(self, pendulums: int, modes: int) -> None:
         first = 3
@@ -273,7 +272,7 @@ class _Layout:
 
 
 def _mass_matrix(s: Snapshot, layout: _Layout) -> Array:
-    """Rows: lateral force, pitch moment, each pendulum (per unit mass), each mode."""
+    """Return the mass matrix; rows: lateral force, pitch moment, each pendulum (per unit mass), each mode."""
     count = 2 + layout.pendulums + layout.modes
     m = np.diag(np.concatenate([[s.core_mass_kg, s.core_inertia_kgm2], np.ones(count - 2)]))
     for k, p in enumerate(s.pendulums):
@@ -288,7 +287,7 @@ def _mass_matrix(s: Snapshot, layout: _Layout) -> Array:
 
 
 def _forces(s: Snapshot, layout: _Layout) -> Array:
-    """(rows of the mass matrix) x (states, delta, delta'')."""
+    """Return the forces: (rows of the mass matrix) x (states, delta, delta'')."""
     f = np.zeros((2 + layout.pendulums + layout.modes, layout.size + 2))
     modal = slice(2 + layout.pendulums, None)
     _add_engine(f, modal, s, layout)
@@ -300,7 +299,7 @@ def _forces(s: Snapshot, layout: _Layout) -> Array:
 
 
 def _add_engine(f: Array, modal: slice, s: Snapshot, layout: _Layout) -> None:
-    """Thrust along the deflected, locally bent axis, and the engine's reaction to its own motion."""
+    """Add thrust along the deflected, locally bent axis, and the reaction to the engine's motion."""
     thrust, arm, slope, delta = s.thrust_N, s.gimbal_arm_m, s.bending.gimbal_slope_pm, layout.size
     f[0, delta] = thrust
     f[0, layout.eta] -= thrust * slope
@@ -320,7 +319,7 @@ def _add_stiffness(f: Array, modal: slice, s: Snapshot, layout: _Layout) -> None
 
 
 def _add_pendulum(f: Array, s: Snapshot, layout: _Layout, k: int) -> None:
-    """Its own restoring force, and what it does to core and modes through the hinge."""
+    """Add a pendulum's restoring force and its reaction on core and modes through the hinge."""
     p = s.pendulums[k]
     modal = slice(2 + layout.pendulums, None)
     angle, rate = layout.gamma.start + k, layout.gamma_rate.start + k
@@ -339,7 +338,7 @@ def _add_pendulum(f: Array, s: Snapshot, layout: _Layout, k: int) -> None:
 
 
 def _add_air(f: Array, modal: slice, s: Snapshot, layout: _Layout) -> None:
-    """Normal force of each surface at its local angle of attack; pitch damping as one moment."""
+    """Add the normal force of each surface at its local angle of attack, and pitch damping as one moment."""
     f[1, 2] += s.pitch_damping_Nms
     for surface in s.surfaces:
         incidence = np.zeros(layout.size + 2)
@@ -368,7 +367,7 @@ def plant(s: Snapshot, actuator_: Linear, gyro_: Linear) -> Linear:
 
 
 def quantities(vehicle: VehicleFolder, t: float) -> dict[str, float]:
-    """Return the values of maxq at time t, under the names of the other table."""
+    """Return maxq's values at time t under the names of the other table."""
     s = snapshot(vehicle, t)
     mass, x_cg, roll, pitch, _ = vehicle.mass(t)
     _, altitude, speed, path_angle, _, thrust, _, pressure, mach = vehicle.flight(t)

@@ -1,9 +1,9 @@
-"""Oracle: the same flight with another integrator.
+"""Integrate the same flight with another integrator.
 
-SciPy's DOP853 (order eight, adaptive, tight tolerance) integrates the flight's own derivative from instant to instant.
-The flight's own kernels process samples, commands, ignition and burnout, so that only the integration differs from the
-simulator: step size, method, and the restoring of the quaternion's and pendulums' length. Limits: liftoff by thrust,
-apogee and impact are not located; begin in flight, or release by time.
+SciPy's DOP853 (order eight, adaptive, tight tolerance) integrates the flight's derivative from instant to instant. The
+flight's kernels process samples, commands, ignition and burnout, so that only the integration differs: step size,
+method, and normalisation of the quaternion and pendulums. Limits: liftoff by thrust, apogee and impact are not located;
+start in flight, or release at a given time.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ LONG_STEP_NS = 10**12  # no step of the simulator's own between two instants
 
 
 def fly(made: Rig, duration_s: float, tolerance: float = 1e-11) -> Array:
-    """Return the state (n,) after `duration_s`, where `made` also ends. Raises RuntimeError if the integrator gives up.
+    """Return the state (n,) after `duration_s`, at which `made` also ends.
 
-    `tolerance` is relative, and absolute in units of `scale`: metres for the position, 1e-3 for all that is
-    small.
+    `tolerance` is relative, and absolute in units of `scale`: metres for the position, 1e-3 for small quantities.
+    Raises RuntimeError if the integrator fails.
     """
     made.timeline.step_ns = LONG_STEP_NS
     clock = made.packed.memory[0].clock

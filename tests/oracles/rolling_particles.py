@@ -1,12 +1,12 @@
-"""Oracle: a rolling vehicle with gimballed engines, bending modes and bobs, made of particles.
+"""Model a rolling vehicle with gimballed engines, bending modes and bobs as particles.
 
-The model is a list of functions for the places of particles in inertial axes over generalised coordinates; velocities,
-Coriolis and centrifugal accelerations follow from them by differentiation, the equations of motion from d'Alembert's
+The model is a list of functions for the places of particles in inertial axes over generalised coordinates. Velocities
+and Coriolis and centrifugal accelerations follow by differentiation, the equations of motion from d'Alembert's
 principle, sum m J' (J q'' + J' q') = Q. No energy is defined, no quasi-velocity used, and no rotation linearised.
 
 Core: particles on the x axis, which the modes displace, and particles that the modes do not move. An engine: its mass
-where gimbal and bent section carry it, less the same mass where it would be if locked, because the core contains the
-locked engine. An engine is a point mass at its CG.
+where gimbal and bent section carry it, less the same mass at its locked position, because the core contains the locked
+engine. An engine is a point mass at its CG.
 
 Coordinates: place of the CG (3), rotation vector (3), modes (n), pitch and yaw angle of each engine, y and z components
 of each bob's unit vector. The rotation vector is zero at the present instant, so that its derivatives are w and w'.
@@ -49,7 +49,7 @@ class Bob:
 
 @dataclass(frozen=True)
 class Particles:
-    """The vehicle at rest.
+    """A vehicle at rest.
 
     `axis_kg`, `axis_m` (n,): particles of the axis; `shapes`, `slopes` (modes, n, 3): displacement and rotation there.
     `hull_kg` (k,), `hull_m` (k, 3): particles that the modes do not move.
@@ -100,7 +100,7 @@ class Particles:
         return np.asarray(self.places(q + 1j * TINY * rate).imag / TINY)
 
     def accelerations(self, q: Floats, rate: Floats, force: Floats, given: dict[int, float]) -> Floats:
-        """Return second derivatives of the coordinates under generalised forces (size,); those `given` are imposed."""
+        """Return the second derivatives of the coordinates under generalised forces (size,) and `given` ones."""
         mass = np.repeat(self.masses_kg, 3)
         jacobian = np.stack([self.velocities(q, unit).ravel() for unit in np.eye(self.size)], axis=1)
         steps = SPACING_S * np.arange(-3, 4)
@@ -118,7 +118,7 @@ class Particles:
 
 
 def rotation(vector: Numbers) -> Numbers:
-    """Return the matrix of a rotation vector, by its power series: for angles well below one, complex ones too."""
+    """Return the matrix of a rotation vector by its power series, for angles well below one, real or complex."""
     x, y, z = vector
     skew = np.array([[0.0 * x, -z, y], [z, 0.0 * x, -x], [-y, x, 0.0 * x]])
     out, term = np.eye(3, dtype=complex), np.eye(3, dtype=complex)

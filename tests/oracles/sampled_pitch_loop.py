@@ -1,9 +1,9 @@
-"""The sampled loop of a design at a node of KSR-III, opened at the gimbal command, and its margins: no Pade, aliasing
-included.
+"""Compute the sampled loop of a design at an operating point of KSR-III, opened at the gimbal command.
 
-At sample k the computer has the exact integral of the gyro rate (the sum of the V/F counts) and its increment. The
-computed command reaches the hold a compute delay later. Stability is judged twice, by the closed loop's poles and by
-encirclements, and the two must agree. Bending frequencies as they are and 10 % off.
+Aliasing is included, and no Pade approximation is used. At sample k the computer has the exact integral of the gyro
+rate (the sum of the V/F counts) and its increment. The computed command reaches the hold after the compute delay.
+Stability is judged by the closed-loop poles and by encirclements, and the two must agree, with bending frequencies as
+they are and 10 % off.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Response = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Margins:
-    """Infinite where there is no crossing. `modulus` is the least distance of L from -1."""
+    """The margins of a loop; infinite where it has no crossing. `modulus` is the least distance of L from -1."""
 
     gain_up_db: float  # least increase that reaches -1
     gain_down_db: float  # least decrease that reaches -1
@@ -40,7 +40,7 @@ class Margins:
 
 
 def margins(loop: Response) -> Margins:
-    """From L on a grid fine enough to resolve its resonances; crossings are interpolated linearly."""
+    """Return margins from L on a grid fine enough for its resonances; crossings are interpolated linearly."""
     up, down = np.inf, np.inf
     for size in _negative_axis_crossings(loop):
         gain = -20 * np.log10(size)
@@ -68,10 +68,11 @@ def _phase_margin_deg(loop: Response) -> float:
 
 
 def unstable_closed_loop_poles(loop: Response, unstable_open: int) -> float:
-    """Return the number of poles of the closed loop outside the unit circle, by the argument principle.
+    """Return the number of closed-loop poles outside the unit circle, by the argument principle.
 
-    `loop` runs from zero frequency to Nyquist. The upper half of the unit circle turns 1 + L by pi for every
-    unstable pole of the open loop less one of the closed loop. Not an integer when the grid is too coarse.
+    `loop` extends from zero frequency to Nyquist. Over the upper half of the unit circle, 1 + L turns by pi for every
+    unstable pole of the open loop less one of the closed loop. The result is not an integer when the grid is too
+    coarse.
     """
     angle = np.unwrap(np.angle(1 + loop))
     return unstable_open - float(angle[-1] - angle[0]) / np.pi
@@ -79,7 +80,7 @@ def unstable_closed_loop_poles(loop: Response, unstable_open: int) -> float:
 
 @dataclass(frozen=True)
 class Quadratic:
-    """(s^2/wz^2 + 2 zz s/wz + 1) / (s^2/wp^2 + 2 zp s/wp + 1)."""
+    """The section (s^2/wz^2 + 2 zz s/wz + 1) / (s^2/wp^2 + 2 zp s/wp + 1)."""
 
     zero_hz: float
     zero_zeta: float
@@ -89,7 +90,7 @@ class Quadratic:
 
 @dataclass(frozen=True)
 class Discrete:
-    """x[k+1] = a x[k] + b u[k], y = c x[k] + d u[k]."""
+    """The system x[k+1] = a x[k] + b u[k], y = c x[k] + d u[k]."""
 
     a: Array
     b: Array
@@ -98,7 +99,7 @@ class Discrete:
 
 
 def sampled_plant(plant: Linear, period_s: float, delay_s: float) -> Discrete:
-    """Return the plant with delay and hold at the samples; its last state is the previous command."""
+    """Return the sampled plant with delay and hold; its last state is the previous command."""
     n = len(plant.a)
     augmented = np.zeros((n + 1, n + 1))
     augmented[:n, :n], augmented[:n, n] = plant.a, plant.b
@@ -124,7 +125,7 @@ def filter_polynomials(sections: list[Quadratic], period_s: float, prewarp_hz: f
 
 
 def law_polynomials(k_p: float, k_d_s: float, period_s: float) -> tuple[Array, Array]:
-    """Return the law in z: k_p on the angle, and k_d on its increment over the period."""
+    """Return the law in z: k_p on the angle and k_d on its increment per period."""
     return np.array([k_p + k_d_s / period_s, -k_d_s / period_s]), np.array([1.0, 0.0])
 
 
@@ -137,7 +138,7 @@ def controller(k_p: float, k_d_s: float, sections: list[Quadratic], period_s: fl
 
 
 def closed_loop_poles(plant: Discrete, control: Discrete) -> Array:
-    """Return the eigenvalues z of the closed loop; stable if all lie inside the unit circle."""
+    """Return the eigenvalues z of the closed loop, which is stable if all are inside the unit circle."""
     corner = plant.a - np.outer(plant.b, control.d * plant.c)
     a = np.block([[corner, -np.outer(plant.b, control.c)], [np.outer(control.b, plant.c), control.a]])
     return np.asarray(np.linalg.eigvals(a))
@@ -163,7 +164,7 @@ def frequency_grid(plant: Discrete, period_s: float) -> Array:
 
 
 def plant_poles(plant: Discrete) -> Array:
-    """Return the poles z without those at the origin (the stored command)."""
+    """Return the poles z except those at the origin (the stored command)."""
     poles = np.linalg.eigvals(plant.a).astype(complex)
     return np.asarray(poles[np.abs(poles) > 1e-6])
 
@@ -173,7 +174,7 @@ BENDING_FACTORS = (1.0, 0.9, 1.1)
 
 @dataclass(frozen=True)
 class Case:
-    """A plant with its frequency response on a grid of its own."""
+    """A plant with its frequency response on its own grid."""
 
     time_s: float
     bending_factor: float
@@ -209,10 +210,10 @@ DESIGN_FILE = VEHICLE_FOLDER.parents[1] / "designs" / "ksr3-default.toml"
 
 @dataclass(frozen=True)
 class Verdict:
-    """A judged case. `unstable` counts closed-loop poles outside the unit circle; `encircled` gives the same from L.
+    """A judged case. `unstable` counts closed-loop poles outside the unit circle; `encircled` is the count from L.
 
-    `slowest_per_s` is the decay of the slowest pole, `bending_peak_db` the largest |L| from 7 Hz to 13 Hz,
-    `high_peak_db` above that.
+    `slowest_per_s` is the decay rate of the slowest pole, `bending_peak_db` the largest |L| from 7 Hz to 13 Hz, and
+    `high_peak_db` that above 13 Hz.
     """
 
     case: Case
@@ -227,7 +228,7 @@ class Verdict:
 
 
 class Design:
-    """Gains over time and filter of a design file of structure F2 or F4."""
+    """The gains over time and the filter of a design file of structure F2 or F4."""
 
     def __init__(self, path: Path) -> None:
         data: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))

@@ -1,9 +1,8 @@
-"""Flight of a rigid body from first principles, by SciPy's DOP853: shares no line with maxq's kernels.
+"""Fly a rigid body from first principles with SciPy's DOP853, without any code of maxq.
 
-Everything is formulated differently on purpose. The oracle has Newton's law in the frame that rotates with the Earth
-(Coriolis and centrifugal terms), and the attitude as direction cosines body to Earth. Gravitation is the derivative of
-its potential by a complex step. Geodetic latitude follows by iteration, the standard atmosphere by its layers. SI
-units.
+All formulations differ from maxq's. The oracle has Newton's law in the frame that rotates with the Earth (Coriolis and
+centrifugal terms), and the attitude as direction cosines from body to Earth. Gravitation is the derivative of its
+potential by a complex step. Geodetic latitude follows by iteration, the standard atmosphere by its layers. SI units.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ class Air:
 
 @dataclass(frozen=True)
 class Body:
-    """Functions of time: mass, inertia tensor; of time and air: force, moment. About the CG, in B."""
+    """The properties of a body about its CG, in B: mass and inertia over time; force and moment over time and air."""
 
     mass: Callable[[float], float]
     inertia: Callable[[float], Vector]
@@ -55,7 +54,7 @@ class Body:
 
 @dataclass(frozen=True)
 class State:
-    """Position and velocity relative to the Earth in E; `attitude` turns B into E; inertial rate in B."""
+    """A state: position and velocity relative to the Earth in E; `attitude` turns B into E; inertial rate in B."""
 
     position: Vector
     velocity: Vector
@@ -64,12 +63,12 @@ class State:
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """Return the cross product of two vectors, five times as fast as np.cross."""
+    """Return the cross product of two vectors; five times as fast as np.cross."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def gravitation(position: Vector) -> Vector:
-    """Return the gradient of mu/r (1 - J2 (a/r)^2 (3 sin^2 - 1) / 2), by a complex step: exact to rounding."""
+    """Return the gradient of mu/r (1 - J2 (a/r)^2 (3 sin^2 - 1) / 2) by a complex step, exact to rounding."""
     out = np.zeros(3)
     for axis in range(3):
         r = position.astype(complex)
@@ -81,7 +80,7 @@ def gravitation(position: Vector) -> Vector:
 
 
 def geodetic(position: Vector) -> tuple[float, float, float]:
-    """Return the latitude, longitude and altitude, iterated until they are constant (not at the poles)."""
+    """Return latitude, longitude and altitude by iteration until they are constant (not at the poles)."""
     e2 = FLATTENING * (2 - FLATTENING)
     p = float(np.hypot(position[0], position[1]))
     latitude, altitude = np.arctan2(position[2], p * (1 - e2)), 0.0
@@ -105,14 +104,14 @@ def earth_fixed(latitude_deg: float, longitude_deg: float, altitude_m: float) ->
 
 
 def ned_axes(latitude: float, longitude: float) -> Vector:
-    """Return the columns north, east, down in E, built from the vertical."""
+    """Return the axes north, east, down in E as columns, from the vertical."""
     up = np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
     return np.stack([cross(up, east), east, -up], axis=1)
 
 
 def about(axis: int, angle_deg: float) -> Vector:
-    """Return the rotation about a coordinate axis. A 3-2-1 attitude is a product of three."""
+    """Return the rotation about a coordinate axis; a 3-2-1 attitude is a product of three."""
     angle = np.radians(angle_deg)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     out = np.eye(3)
@@ -122,7 +121,7 @@ def about(axis: int, angle_deg: float) -> Vector:
 
 
 def standard_air(altitude_m: float) -> tuple[float, float, float]:
-    """Return the density, pressure and speed of sound of the US Standard Atmosphere 1976 to 80 km, layer by layer."""
+    """Return density, pressure and speed of sound of the US Standard Atmosphere 1976 up to 80 km, by layers."""
     h = 6356766.0 * altitude_m / (6356766.0 + altitude_m)
     temperature, pressure = 288.15, 101325.0
     for (base, lapse), (top, _) in zip(LAYERS, (*LAYERS[1:], (84e3, 0.0)), strict=True):
@@ -145,7 +144,7 @@ def start(
     rate_degps: Sequence[float],
     rate_is_inertial: bool,
 ) -> State:
-    """Return the state at t = 0 (E = I): geodetic place, velocity in NED, yaw, pitch and roll, body rates."""
+    """Return the state at t = 0 (E = I) from geodetic place, NED velocity, yaw, pitch, roll and body rates."""
     position = earth_fixed(*place)
     axes = ned_axes(*geodetic(position)[:2])
     yaw, pitch, roll = euler_deg
@@ -170,8 +169,8 @@ def integrate(
 ) -> list[State]:
     """Return the states at `times` (rising; the first is the start). The integration restarts at each of `kinks`.
 
-    `longest_step_s`: for loads with kinks at unknown times, such as tables over angle of attack: the error estimate of
-    a long step does not see them.
+    `longest_step_s` is for loads with kinks at unknown times, such as tables over angle of attack: the error estimate
+    of a long step does not detect them.
     """
 
     def derivative(t: float, y: Vector, last: float) -> Vector:

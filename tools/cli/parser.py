@@ -236,7 +236,9 @@ class Parser(argparse.ArgumentParser):
         message = re.sub(
             "^the following arguments are required: ([^,]*).*", rf"give a \1, e.g. {self._example}", message
         )
-        self.exit(Exit.BAD_INPUT, f"{self.prog.split()[0]}: {printable(message)}; see {self.prog} --help\n")
+        line = printable(message)
+        see = " See" if line.endswith("?") else "; see"
+        self.exit(Exit.BAD_INPUT, f"{self.prog.split()[0]}: {line}{see} {self.prog} --help\n")
 
     @property
     def _example(self) -> str:

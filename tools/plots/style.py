@@ -176,9 +176,11 @@ def _place_names(place: Axes, renderer: Any) -> None:
     legend = place.get_legend()
     taken = [t.get_window_extent(renderer) for t in (*others, *([legend] if legend is not None else []))]
     curves = [line for line in place.lines if line.get_zorder() >= 1.0]
-    lines = [line.get_transform().transform(np.asarray(line.get_xydata())) for line in curves]
-    points = np.concatenate([dense(line) for line in lines]) if lines else np.zeros((0, 2))
+    lines = [dense(line.get_transform().transform(np.asarray(line.get_xydata()))) for line in curves]
+    points = np.concatenate(lines) if lines else np.zeros((0, 2))
     points = points[frame.x0 <= points[:, 0]] if len(points) else points
+    pieces = np.concatenate([np.stack([line[:-1], line[1:]], 1) for line in lines]) if lines else np.zeros((0, 2, 2))
+    leaders = np.zeros((0, 2, 2))
     for name in sorted(names, key=lambda text: "must" not in str(text.get_gid())):
         assert isinstance(name, Annotation)
         at = place.transData.transform(name.xy)
@@ -194,15 +196,38 @@ def _place_names(place: Axes, renderer: Any) -> None:
                 cost = 1e4 * sum(spot.overlaps(other) for other in taken) + 0.4 * radius
                 cost += 1e4 * (low[0] < frame.x0 or low[1] < frame.y0 or high[0] > frame.x1 or high[1] > frame.y1)
                 cost += 6.0 * int(((points > low) & (points < high)).all(axis=1).sum())
+                if _has_leader(middle - at, scale):
+                    cost += 20.0 * _crossings(at + way * scale, middle, pieces)
+                    cost += 1e3 * _crossings(at, middle, leaders)
                 if cost < best:
                     best, where, offset = cost, spot, tuple((middle - at) / scale)
         if best >= 1e4 and "must" not in str(name.get_gid()):
             name.set_visible(False)
             continue
         name.set_position(offset)
+        shown = _has_leader(np.array(offset), 1.0)
         if name.arrow_patch is not None:
-            name.arrow_patch.set_visible(float(np.hypot(*offset)) > 20.0)
+            name.arrow_patch.set_visible(shown)
+        if shown:
+            leaders = np.concatenate([leaders, [[at, at + scale * np.array(offset)]]])
         taken.append(where)
+
+
+def _has_leader(offset: NDArray[Any], scale: float) -> bool:
+    """Return True if a name at this distance (pixels; `scale` pixels a point) from its point has a leader."""
+    return float(np.hypot(*offset)) > 20.0 * scale
+
+
+def _crossings(start: NDArray[Any], end: NDArray[Any], others: NDArray[Any]) -> int:
+    """Return the number of segments `others` (n, 2, 2) that cross the segment from `start` to `end`."""
+
+    def side(a: NDArray[Any], b: NDArray[Any], c: NDArray[Any]) -> NDArray[Any]:
+        u, v = b - a, c - a
+        return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
+
+    first, last = others[:, 0], others[:, 1]
+    parted = side(start, end, first) * side(start, end, last) < 0.0
+    return int((parted & (side(first, last, start) * side(first, last, end) < 0.0)).sum())
 
 
 def dense(line: NDArray[Any]) -> NDArray[Any]:

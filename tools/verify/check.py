@@ -28,6 +28,7 @@ from maxq.design.verify.results import Results
 from maxq.design.verify.suite import CERTIFICATE, WORST
 from maxq.design.verify.verify import Prepared, conclude, part_alone, prepare
 from maxq.sim.campaign.analysis import DataSet, unfounded
+from maxq.sim.campaign.schema import campaign_title
 from maxq.sim.campaign.store import MANIFEST, parts_in
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.metrics import Verdict, judge
@@ -332,7 +333,7 @@ def _derived(pack: Pack, results: Results, job: Parts, found: Findings) -> list[
         rows = len(record["requirements"])
         found.agrees.append(f"verdict and {rows} requirements, derived again from the results in the pack")
     for one in data:
-        odd = [f"campaign {one.campaign.name}: {text}" for text in unfounded(one)]
+        odd = [f"{campaign_title(one.campaign.name)}: {text}" for text in unfounded(one)]
         found.differs += odd
         if not odd:
             found.agrees.append(f"success of {len(one.runs)} runs of {one.campaign.name}, by their metrics")

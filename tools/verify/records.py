@@ -9,6 +9,7 @@ from typing import Any
 
 from maxq.design.verify.seeds import BY_HAND, DECLARED
 from maxq.design.verify.verify import Verification
+from maxq.sim.campaign.schema import campaign_title
 from maxq.sim.campaign.store import MANIFEST, parts_in
 from maxq.sim.files import write_whole
 
@@ -36,7 +37,7 @@ def reused_line(found: Verification) -> str:
     if not found.recalled and not runs:
         return "computed afresh: nothing was recalled from the cache"
     texts = [f"{found.recalled} of {found.recalled + found.worked_out} parts"] if found.recalled else []
-    texts += [f"{c.recalled} of {c.runs} runs of campaign {c.name}" for c in found.campaigns if c.recalled]
+    texts += [f"{c.recalled} of {c.runs} runs of {campaign_title(c.name)}" for c in found.campaigns if c.recalled]
     again = [*found.reused.computed_again, *(f"{c.name} run {n}" for c in found.campaigns for n in c.reflown)]
     names = f": {', '.join(again)}" if len(again) <= MOST_NAMES else ""
     checked = f"{len(again)} computed again, alike{names}" if again else "none computed again"

@@ -126,10 +126,12 @@ def page_of(found: Verification, command: str, plots: Sequence[Plot], signed: Si
 def _summary(found: Verification) -> list[dict[str, Any]]:
     """Return for each part a description of its requirements, and the numbers met, rejected and undecided."""
     suite, margins = found.suite, found.suite.margins
-    asked = {"scenarios": f"{len(found.results.flights)} flights, each within its limits"}
+    flights = len(found.results.flights)
+    asked = {"scenarios": f"{flights} flight{'s' * (flights != 1)}, {'each ' * (flights != 1)}within its limits"}
     if margins is not None:
         nodes = sum(len(m.times_s) for m in found.results.margins)
-        asked["margins"] = f"linear margins of the design at {nodes} operating points, {' and '.join(margins.planes)}"
+        points = f"{nodes} operating point{'s' * (nodes != 1)}"
+        asked["margins"] = f"linear margins of the design at {points}, {' and '.join(margins.planes)}"
         vehicles = next((len(m.random) + len(m.corners) for m in found.results.margins), 0)
         asked["dispersed"] = f"the same of {vehicles} {found.deviations or 'dispersed vehicles'}"
         if (worst := margins.worst) is not None:
@@ -139,7 +141,8 @@ def _summary(found: Verification) -> list[dict[str, Any]]:
         asked["certificate"] = f"linear loop and flight agree at {nodes} operating point{'s' * (nodes != 1)}"
         if found.results.measured:
             asked["certificate"] = "flight code responds in the ascent as at frozen points"
-    asked["measured only"] = f"margins of flight code, measured at {len(found.results.measured)} operating points"
+    nodes = len(found.results.measured)
+    asked["measured only"] = f"margins of flight code, measured at {nodes} operating point{'s' * (nodes != 1)}"
     asked["campaign"] = "; ".join(
         f"{c.runs} flights, {100.0 * c.success:g} % with {100.0 * c.confidence:g} % confidence" for c in found.campaigns
     )

@@ -1,4 +1,4 @@
-"""Aerodynamic coefficients of a stage at one instant, in one plane, from the packed tables that the simulator flies."""
+"""Compute the aerodynamic coefficients of a stage at one instant, in one plane, from its packed tables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from maxq.sim.vehicle.air import kernel as aero
 
 @dataclass(frozen=True)
 class Aerodynamics:
-    """Coefficients at one Mach number, referred to `area_m2` and `chord_m`."""
+    """The coefficients at one Mach number, referred to `area_m2` and `chord_m`."""
 
     area_m2: float
     chord_m: float
@@ -38,13 +38,14 @@ class Aerodynamics:
     cross_moment_mpr: Array = dataclasses.field(default_factory=lambda: np.zeros(0))  # flow; empty: none
 
     def met_by_modes(self, part: int) -> tuple[int, bool]:
-        """Which surface's modes a part of `slope_pr` loads (-1: none), and whether the bent body's flow counts."""
+        """Return the surface whose modes a part of `slope_pr` loads (-1: none); True if bending changes its flow."""
         first = len(self.slope_pr) - len(self.beyond)
         return (part, self.local_incidence) if part < first else (self.beyond[part - first], False)
 
     def modal_couples(self) -> tuple[Array, Array]:
-        """Moments about `couple_station_m` that turn the modes' slopes: by angle of attack (m/rad), by turning rate
-        (m2).
+        """Return the moments about `couple_station_m` that rotate the modes' slopes.
+
+        They are per angle of attack (m/rad) and per pitch or yaw rate (m2).
         """
         at = np.nan_to_num(self.couple_station_m)
         acts = np.isfinite(self.couple_station_m)
@@ -52,7 +53,7 @@ class Aerodynamics:
         return by_flow, acts * (self.rate_slope_m * at - self.rate_moment_m2)
 
     def cross_couples(self) -> Array:
-        """Return the first of `modal_couples` by the other plane's flow."""
+        """Return the first of `modal_couples` due to the flow in the other plane."""
         stations = self.couple_station_m[: len(self.cross_slope_pr)]
         turns = self.cross_slope_pr * np.nan_to_num(stations) - self.cross_moment_mpr
         return np.asarray(np.isfinite(stations) * turns)
@@ -125,11 +126,11 @@ def aerodynamics_at(
 def _beyond(
     a: Any, row: Array, by_mach: Array, flow: tuple[float, float, float], plane: str, across: bool = False
 ) -> Array:
-    """Slopes and slopes times stations, (2, surfaces and one), of what angle of attack adds to those along the axis.
+    """Return the slopes and slopes times stations, (2, surfaces and one), added by the angle of attack.
 
-    Surfaces under a Mach number that moves with the flow, and the body's cross-flow and Cm0. `by_mach`: what the
-    columns `row` of the Mach table change by per radian; `flow`: the unit vector of the velocity through the air,
-    forward, in the plane, across it. `across`: slopes by the flow across the plane.
+    They are of surfaces under a Mach number that changes with the flow, and of the body's cross-flow and Cm0.
+    `by_mach`: change of the columns `row` of the Mach table per radian. `flow`: unit vector of the velocity through the
+    air, forward, in the plane, across it. `across`: slopes due to the flow across the plane.
     """
     forward, own, other = flow
     moved = other if across else own

@@ -1,4 +1,4 @@
-"""Both planes of plant.py and the spatial modes that they share."""
+"""Combine both planes of plant.py and the spatial modes that they share."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from maxq.design.paper.errata import Errata
 
 
 class Coupled:
-    """Both planes and the spatial modes that they share, about the modes' deflection `held` (m); `wind` in the first.
+    """Both planes and their spatial modes, about the modes' deflection `held` (m); `wind` in the first plane.
 
-    Along x liquid rides on its tank: it adds to the modes' masses, and its pull has a moment about a bent axis.
+    Along x, liquid moves with its tank: it adds to the modal masses, and its pull has a moment about a bent axis.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Coupled:
         self.free = self.drives[0] + self.drives[1] - spring  # accelerations without what rides along x
 
     def _crossed(self) -> list[tuple[Array, Array, Array]]:
-        """Accelerations of each plane by the other's flow, in angle of attack: lateral, turning, of all its modes."""
+        """Return the accelerations of each plane due to flow in the other: lateral, angular, of all its modes."""
         out = []
         for plane, other, e in zip(self.planes, self.planes[::-1], self.embed[::-1], strict=True):
             air = plane.vehicle.aerodynamics
@@ -70,7 +70,7 @@ class Coupled:
         return out
 
     def settled(self) -> Array:
-        """Return the deflections at which thrust and the pull of the liquid along x hold the modes at rest."""
+        """Return the deflections at which thrust and the axial pull of the liquid hold the modes at rest."""
         one, along = self.one, self.one.vehicle.modes.along
         assert along is not None
         push = -one.specific_force * along.hinges @ one.vehicle.pendulums.mass_kg
@@ -81,11 +81,11 @@ class Coupled:
         return np.asarray(np.linalg.solve(per_m, -push / one.vehicle.modes.generalized_mass_kg[: self.shared]))
 
     def _riding(self) -> tuple[Array, Array]:
-        """Return the contribution of liquid that rides along x to the modes' accelerations, and the change of each
-        bob's pull, rows.
+        """Return the contribution of liquid that moves with its tank along x to the modal accelerations, and pull rows.
 
-        The pull is the bob's mass times the acceleration of its hinge along x: by the body, by modes, by turning where
-        the bent axis is displaced, less the part of a bob that swings under a lateral load.
+        The rows are the changes of each bob's pull: its mass times the axial acceleration of its hinge. It is due to
+        the body, the modes and, where the bent axis is displaced, rotation, less the part of a bob that swings under a
+        lateral load.
         """
         one, along = self.one, self.one.vehicle.modes.along
         if along is None:
@@ -102,7 +102,7 @@ class Coupled:
         return -per_force @ pull, pull
 
     def _beside(self, plane: Equations) -> Array:
-        """Return the distances of the hinges from the axis where the modes are held (tanks,)."""
+        """Return the distances of the hinges from the axis at the held deflection (tanks,)."""
         return np.asarray(self.held @ plane.vehicle.modes.phi_hinge[: self.shared])
 
     def state_space(self) -> StateSpace:

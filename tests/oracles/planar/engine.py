@@ -1,4 +1,4 @@
-"""A gimballed engine at one instant, in one plane, and the compliance that it may hang on."""
+"""Describe a gimballed engine at one instant, in one plane, and its optional mount compliance."""
 
 from __future__ import annotations
 
@@ -38,24 +38,24 @@ class GimballedEngine:
 
     @property
     def rest(self) -> tuple[float, float]:
-        """Return the thrust axis at rest: forward, across."""
+        """Return the thrust axis at rest: forward and lateral components."""
         return self._in_plane(self.axis)
 
     @property
     def mounted(self) -> tuple[float, float]:
-        """Return the same without axial load."""
+        """Return the thrust axis at rest without axial load."""
         return self._in_plane(self.unloaded or self.axis)
 
     @property
     def slope(self) -> tuple[float, float]:
-        """Return the change per radian."""
+        """Return the change of the thrust axis per radian."""
         x, y, z = self.axis
         level = np.sqrt(1.0 - y * y)
         return (-z, x) if self.plane == "pitch" else (-y * x / level, level)
 
     @property
     def other_slope(self) -> tuple[float, float]:
-        """In this plane, per radian of the other plane's angle."""
+        """Return the change in this plane per radian of the other plane's angle."""
         x, y, z = self.axis
         level = np.sqrt(1.0 - y * y)
         return (
@@ -66,20 +66,20 @@ class GimballedEngine:
 
     @property
     def levers(self) -> tuple[float, float]:
-        """Return the squares of both changes in space."""
+        """Return the squared changes of the thrust axis in space, per radian of each angle."""
         y = self.axis[1]
         return (1.0 - y * y, 1.0) if self.plane == "pitch" else (1.0, 1.0 - y * y)
 
     @property
     def twist(self) -> float:
-        """Return the second derivative of the forward part by both angles."""
+        """Return the mixed second derivative of the forward component by both angles."""
         _, y, z = self.axis
         mixed: float = self.across * y * z / np.sqrt(1.0 - y * y)
         return -mixed if self.plane == "pitch" else mixed
 
     @property
     def sags(self) -> bool:
-        """Canted, on a TVC load."""
+        """Return True for a canted engine on a TVC load, which sags."""
         return self.tvc_load is not None and (self.axis[1] != 0.0 or self.axis[2] != 0.0)
 
     def hanging(self, load_mps2: float) -> GimballedEngine:
@@ -108,7 +108,7 @@ class GimballedEngine:
 
 @dataclass(frozen=True)
 class TvcLoad:
-    """Compliance between engine and actuators, about the gimbal; friction and stops are not linear."""
+    """The compliance between engine and actuators, about the gimbal; friction and stops are nonlinear and omitted."""
 
     stiffness_Nmprad: float
     damping_Nmsprad: float

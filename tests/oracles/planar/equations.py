@@ -1,4 +1,4 @@
-"""The equations of plant.py: each quantity a row of coefficients, per state, then per input."""
+"""Write the equations of plant.py, with each quantity as a row of coefficients per state and input."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from maxq.design.paper.errata import Errata
 
 
 def dot(shape: Array, rows: Array) -> Array:
-    """Return the sum of rows (k, columns, ...), each times its number in `shape` (k, ...)."""
+    """Return the sum of rows (k, columns, ...), weighted with `shape` (k, ...)."""
     return np.asarray((shape[:, None] * rows).sum(axis=0))
 
 
 def outer(shape: Array, row: Array) -> Array:
-    """Return a row (columns, ...) times each number of `shape` (k, ...)."""
+    """Return a row (columns, ...) multiplied by each number of `shape` (k, ...)."""
     return np.asarray(shape[:, None] * row)
 
 
 def joined(*parts: Array) -> Array:
-    """Return the stacked rows, each for the same number of vehicles."""
+    """Return stacked rows, each broadcast to the same number of vehicles."""
     one = np.broadcast_shapes(*(part.shape[1:] for part in parts))
     return np.concatenate([np.broadcast_to(part, (len(part), *one)) for part in parts])
 
 
 def without_unknowns(system: Array, hinges: Array) -> Array:
-    """Return the rows over states and inputs, the accelerations in the last columns solved from `hinges` = 0."""
+    """Return the rows over states and inputs; the accelerations in the last columns follow from `hinges` = 0."""
     n = len(hinges)
     if n == 0:
         return system
@@ -43,7 +43,7 @@ def without_unknowns(system: Array, hinges: Array) -> Array:
 
 
 class Equations:
-    """Each quantity is a row of coefficients: per state, then per input."""
+    """The equations of a vehicle. Each quantity is a row of coefficients: per state, then per input."""
 
     def __init__(
         self,
@@ -117,7 +117,7 @@ class Equations:
             self.moment = self.moment + self.outflow[1]
 
     def _aerodynamics(self) -> None:
-        """(4), (6), (7), (17)."""
+        """Add aerodynamics: (4), (6), (7), (17)."""
         air, modes = self.vehicle.aerodynamics, self.vehicle.modes
         flow = 0.5 * self.condition.density_kgpm3 * self.condition.airspeed_mps * air.area_m2
         couples, rate_couples = air.modal_couples()
@@ -143,7 +143,7 @@ class Equations:
     def by_flow(
         self, other: Equations, slope_pr: Array, moment_mpr: Array, couples: Array
     ) -> tuple[Array, Array, Array]:
-        """Force, moment and modal forces by the flow in the plane of `other`, which may be this one, in its rows."""
+        """Return force, moment and modal forces due to flow in the plane of `other` (or this one), in its rows."""
         air, modes = self.vehicle.aerodynamics, self.vehicle.modes
         flow = 0.5 * self.condition.density_kgpm3 * self.condition.airspeed_mps * air.area_m2
         force, moment, modal = 0.0 * other.w, 0.0 * other.w, 0.0 * outer(modes.omega_radps, other.w)
@@ -159,7 +159,7 @@ class Equations:
         return force, moment, modal
 
     def met_by(self, part: int, other: Equations) -> tuple[Array, Array]:
-        """Flow in the plane of `other` that meets a part of `slope_pr`: what loads the modes, and what the body."""
+        """Return the flows in the plane of `other` at a part of `slope_pr`: on the modes and on the body."""
         air, theirs = self.vehicle.aerodynamics, other.vehicle.modes
         place, local_flow = air.met_by_modes(part)
         bent = 0.0 * other.w
@@ -173,9 +173,7 @@ class Equations:
         return np.asarray(engine.gain * self.driven[of_drive(derivative, engine.drive)])
 
     def _motion(self, engine: GimballedEngine) -> list[tuple[tuple[float, float], Array, Array]]:
-        """Return, for each of its angles that matters, the change of the thrust axis, the angle and its
-        acceleration.
-        """
+        """Return, for each relevant angle, the change of the thrust axis, the angle and its acceleration."""
         if engine.tvc_load is not None:
             mine = [k for k, swing in enumerate(self.loaded) if swing.engine is engine]
             return [(self.loaded[k].slope, self.swing[k], self.swing_accel[k]) for k in mine]
@@ -185,7 +183,7 @@ class Equations:
         return [(engine.slope, angle, accel)]
 
     def _thrust(self, engine: GimballedEngine, turned: Array, aside: Array) -> None:
-        """Add (5), (8), (16) of one engine; an engine off the axis, or canted, also bends the body by axial thrust."""
+        """Add (5), (8), (16) of one engine; axial thrust of an off-axis or canted engine also bends the body."""
         thrust = engine.thrust_N(self.condition.pressure_Pa)
         arm = engine.gimbal_station_m + self.gimbal_moved_m[engine.gimbal] - self.cg
         phi, slope = self.vehicle.modes.at_gimbal(engine.gimbal)
@@ -208,11 +206,11 @@ class Equations:
             self.moment = self.moment + thrust * engine.from_cg_m * forward
 
     def _forward(self, shape: Array) -> Array:
-        """Return the displacement along x of a place, about that at which the modes are held."""
+        """Return the displacement of a place along x, relative to the held deflection."""
         return dot(shape[: len(self.held)], self.forward) if len(self.held) else 0.0 * self.w
 
     def _engine(self, engine: GimballedEngine, by: tuple[float, float], delta: Array, accel: Array) -> None:
-        """(18) to (20), of one angle of an engine, per radian of which its axis changes `by`."""
+        """Add (18) to (20) for one angle of an engine; the thrust axis changes by `by` per radian."""
         phi, slope = self.vehicle.modes.at_gimbal(engine.gimbal)
         (ahead, across), (ahead_slope, across_slope), length = engine.rest, by, engine.cg_from_gimbal_m
         first = engine.gimballed_mass_kg * length
@@ -235,7 +233,7 @@ class Equations:
             self.modal = self.modal + self.load * lateral * outer(slope, delta)
 
     def _slosh(self) -> None:
-        """(24), (26), (27)."""
+        """Add slosh: (24), (26), (27)."""
         bobs, modes = self.vehicle.pendulums, self.vehicle.modes
         for k in range(self.tanks):
             rod = bobs.mass_kg[k] * self.specific_force * self.gamma[k]
@@ -255,10 +253,10 @@ class Equations:
                 self._exchange(k, arm - length)
 
     def _exchange(self, k: int, arm: float) -> None:
-        """Liquid that goes over from bob to core, at the bob, `arm` forward of the CG.
+        """Add the liquid that moves from bob to core, at the bob, `arm` forward of the CG.
 
-        It keeps its velocity, and pushes the modes by that relative to the bent axis. (What a bob gains brakes the
-        bob: `state_space`.)
+        The liquid keeps its velocity; its velocity relative to the bent axis drives the modes. `state_space` adds the
+        deceleration of a bob by the liquid that it gains.
         """
         bobs, modes = self.vehicle.pendulums, self.vehicle.modes
         flow, swung = np.maximum(-bobs.mass_rate_kgps[k], 0.0), bobs.length_m[k] * self.gamma_rate[k]
@@ -269,13 +267,13 @@ class Equations:
         self.damper[k] = self.damper[k] + flow * swung
 
     def held_load_mps2(self) -> Array:
-        """Return the lateral specific force at the hinges (tanks,) where the modes are held."""
+        """Return the lateral specific force at the hinges (tanks,) at the held deflection."""
         bent = slice(3, 3 + len(self.held))
         lateral, turning = (row[bent] @ self.held for row in (self.force / self.mass, self.moment / self.inertia))
         return np.asarray(lateral - (self.cg - self.hinge_station_m) * turning)
 
     def drive(self) -> Array:
-        """Modal accelerations by all but the modes' own stiffness and damping, (modes, row)."""
+        """Return the modal accelerations by everything but the modes' own stiffness and damping, (modes, row)."""
         modes = self.vehicle.modes
         force = self.modal if self.errata.mode_force_sign else -self.modal
         if self.errata.axial_softening:
@@ -283,7 +281,7 @@ class Equations:
         return np.asarray(force / modes.generalized_mass_kg[:, None])
 
     def matrices(self) -> tuple[Array, Array, Array, Array]:
-        """Return A, B, C and D, of many vehicles along the last axis."""
+        """Return A, B, C and D; vehicles are along the last axis."""
         system, hinges, sensed = self.rows()
         whole, n = without_unknowns(joined(system, sensed), hinges), len(self.names)
         return whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
@@ -292,7 +290,7 @@ class Equations:
         return StateSpace(*self.matrices(), self.names, self.inputs, outputs_of(self.vehicle))
 
     def _sensed(self, lateral: Array, turning: Array, bending: Array) -> Array:
-        """`outputs_of` the vehicle, from the accelerations of body and modes."""
+        """Return `outputs_of` the vehicle from the accelerations of body and modes."""
         modes = self.vehicle.modes
         rates = self.eta_rate if self.errata.gyro_senses_rate else self.eta
         out = [self.q, self.q + dot(modes.slope_gyro_pm, rates), self.w, self.theta]
@@ -308,7 +306,7 @@ class Equations:
         return np.stack(np.broadcast_arrays(*out))
 
     def rows(self) -> tuple[Array, Array, Array]:
-        """Rates of the states, balance about each hinge of a TVC load, and outputs; in unknown accelerations."""
+        """Return state rates, balances about the hinges of TVC loads, and outputs, in unknown accelerations."""
         modes, bobs = self.vehicle.modes, self.vehicle.pendulums
         lateral, turning = self.force / self.mass, self.moment / self.inertia
         omega = modes.omega_radps[:, None]
@@ -369,7 +367,7 @@ class Equations:
 
 
 class Swing(NamedTuple):
-    """An angle of an engine on a TVC load; `lever`: square of what its axis changes by per radian, in space."""
+    """An engine angle on a TVC load; `lever`: squared change of its thrust axis per radian, in space."""
 
     engine: GimballedEngine
     slope: tuple[float, float]  # what it changes by in this plane
@@ -378,7 +376,7 @@ class Swing(NamedTuple):
 
 
 def swings_of(engine: GimballedEngine) -> list[Swing]:
-    """The engine's angle in this plane and, if a cant lets it move the engine in this plane too, that in the other."""
+    """Return the engine's angle in this plane and, if a cant couples it to this plane, the angle in the other."""
     if engine.tvc_load is None:
         return []
     own, other = engine.levers
@@ -387,17 +385,13 @@ def swings_of(engine: GimballedEngine) -> list[Swing]:
 
 
 def outputs_of(vehicle: PlanarVehicle) -> tuple[str, ...]:
-    """Return the outputs of a plane: OUTPUTS, then the measurements of further sensors, then bending moments at the
-    vehicle's sections.
-    """
+    """Return the names of a plane's outputs: OUTPUTS, further sensors, bending moments at the vehicle's sections."""
     stations = () if vehicle.cuts is None else vehicle.cuts.station_m.tolist()
     return (*OUTPUTS, *(name for name, _ in vehicle.sensors), *(moment_name(at) for at in stations))
 
 
 def inputs_of(vehicle: PlanarVehicle) -> tuple[str, ...]:
-    """Return the inputs of a plane, by drive: the angle, and the further derivatives of its motion that act on
-    engines.
-    """
+    """Return the names of a plane's inputs by drive: the angle and the derivatives that act on engines."""
     out = []
     for drive in sorted({engine.drive for engine in vehicle.engines}):
         moved = [e for e in vehicle.engines if e.drive == drive]
@@ -412,10 +406,10 @@ def mass_flow_momentum(vehicle: PlanarVehicle) -> tuple[float, float]:
     """Return the momentum of the mass flow through the core: lateral momentum P (kg m/s) and pitch damping (kg m2/s)
     per pitch rate.
 
-    Reynolds' transport theorem with the Coriolis acceleration 2 w x v_rel of what flows through a turning vessel (W. T.
-    Thomson, Introduction to Space Dynamics, ch. 7): m a = F - 2 w x P, P = m dc/dt + sum of outflow times place, and
-    I q' = M - (dI/dt + sum of outflow times place^2) q, places forward of the CG, c the CG in the body. The gas leaves
-    at the nozzle's exit; liquid also goes over from the bobs, which shrink, to the core.
+    Reynolds' transport theorem with the Coriolis acceleration 2 w x v_rel of the flow through a turning vessel (W. T.
+    Thomson, Introduction to Space Dynamics, ch. 7): m a = F - 2 w x P, P = m dc/dt + sum of outflow times place, and I
+    q' = M - (dI/dt + sum of outflow times place^2) q, places forward of the CG, c the CG in the body. The gas leaves at
+    the nozzle exit. Liquid also moves from the shrinking bobs to the core.
     """
     body, bobs, cg = vehicle.body, vehicle.pendulums, vehicle.body.core_cg_station_m
     bob_place = cg - bobs.bob_station_m

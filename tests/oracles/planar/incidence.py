@@ -1,9 +1,9 @@
-"""Slopes of aerodynamic coefficients over angle of attack, at the flown trim.
+"""Compute the slopes of aerodynamic coefficients over angle of attack, at the flown trim.
 
-The tables are those that the simulator flies, its equations are not: forces are written here once more, over numbers
-that carry their derivatives with respect to the velocity relative to the air, so that a slope is that of the
-interpolant itself, Mach number and dynamic pressure included. All is per rho S V / 2 and made with V = 1: at one Mach
-number and one direction of the flow the slopes do not depend on more.
+The tables are the simulator's, but its equations are not used. Forces are written again over numbers that carry their
+derivatives with respect to the velocity relative to the air. A slope is therefore that of the interpolant, including
+Mach number and dynamic pressure. All quantities are per rho S V / 2 and computed with V = 1: the slopes depend only on
+the Mach number and the direction of the flow.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ _ALONG = 1e-10  # sine of the total angle of attack below which its plane is und
 
 @dataclass(frozen=True)
 class TableSlopes:
-    """The slopes of a vehicle's table, per rho S V / 2 (force; m: moment); the moment is that about `reference_m`.
+    """The slopes of a vehicle's table, per rho S V / 2 (force; m: moment), moments about `reference_m`.
 
-    Rows x, y, z of B; columns u, v, w (m/s) or p, q, r (rad/s). `force` is per rho S V^2 / 2. `by_mach`:
-    what of the slopes by the flow goes through the Mach number, which is that at the CG whatever the flow at the table.
+    Rows x, y, z of B; columns u, v, w (m/s) or p, q, r (rad/s). `force` is per rho S V^2 / 2. `by_mach`: part of the
+    slopes by the flow that is due to the Mach number, which is that at the CG whatever the flow at the table.
     """
 
     force: Array  # (3,)
@@ -42,11 +42,10 @@ class TableSlopes:
     station_m: float  # where modes meet it
 
     def plane(self, plane: str) -> tuple[float, float, float, float]:
-        """Return the values that a planar model keeps: CN_alpha, CN_alpha times station (m), the same by the turning
-        rate (m, m2).
+        """Return CN_alpha, CN_alpha times station (m), and the same by the turning rate (m, m2) of a planar model.
 
-        In the pitch plane that is Fz and My by w and q, in yaw Fy and Mz by v and -r; all else is dropped: the other
-        plane's and the axial flow, and all that turns about x. Slopes are those by the flow at the table.
+        In the pitch plane they are Fz and My by w and q, in yaw Fy and Mz by v and -r. The flow in the other plane and
+        along the axis and rotation about x are omitted. The slopes are by the flow at the table.
         """
         _, turn, sign = axes = _axes_of(plane)
         slope, moment = self._slopes(
@@ -57,11 +56,11 @@ class TableSlopes:
         return slope, moment, float(by_rate), float(rate_moment)
 
     def plane_by_mach(self, plane: str) -> tuple[float, float]:
-        """Return the changes of the first two with the Mach number at the CG."""
+        """Return the changes of CN_alpha and CN_alpha times station due to the Mach number at the CG."""
         return self._slopes(_axes_of(plane), *self.by_mach)
 
     def across(self, plane: str) -> tuple[float, float, float, float]:
-        """Return the first two by the other plane's flow: at the table, then with the Mach number at the CG."""
+        """Return the first two values by flow in the other plane: at the table, then by the Mach number."""
         axes = _axes_of(plane)
         local = self.force_by_flow - self.by_mach[0], self.couple_by_flow_m - self.by_mach[1]
         return *self._slopes(axes, *local, 3 - axes[0]), *self._slopes(axes, *self.by_mach, 3 - axes[0])
@@ -76,7 +75,7 @@ class TableSlopes:
 
 
 def _axes_of(plane: str) -> tuple[int, int, float]:
-    """Return the axes of a plane: the axis across, that of turning, and its sign."""
+    """Return the lateral axis and the rotation axis of a plane, and its sign."""
     return (2, 1, 1.0) if plane == "pitch" else (1, 2, -1.0)
 
 
@@ -165,12 +164,12 @@ def _of_table(pool: Array, a: Any, j: int, s: int, reference_m: float, mach: flo
 
 
 def _apart(moved: list[Gradient], still: list[Gradient]) -> Array:
-    """Return the differences of their slopes, (3, 3)."""
+    """Return the differences of slopes, (3, 3)."""
     return np.array([whole.slopes - part.slopes for whole, part in zip(moved, still, strict=True)])
 
 
 def _sloped(table: _Table, direction: Array) -> tuple[list[Gradient], list[Gradient]]:
-    """Return the force and couple with their slopes, along the axis the mean of those on both sides."""
+    """Return force and couple with their slopes; on the axis, the mean of both sides."""
     force, couple = table.static(direction)
     if math.hypot(direction[1], direction[2]) < _ALONG:
         for column in (1, 2):
@@ -195,7 +194,7 @@ class _Table:
         self.lengths = np.array([a.span_m, a.chord_m, a.yaw_chord_m], float)
 
     def _coefficients(self, flow: list[Gradient]) -> list[Gradient]:
-        """By their roles; all that stand still at zero."""
+        """Return the coefficients by role; coefficients that depend on other states are zero."""
         u, v, w = flow
         lateral = _root(v * v + w * w)
         roll = _atan2(v, w) if lateral.value > 0.0 else 0.0 * u

@@ -1,51 +1,51 @@
-"""The vehicle as a linear system: small motions in one plane about flight along the body axis, time frozen.
+"""Model the vehicle as a linear system: small motions in one plane about flight along the body axis, time frozen.
 
 Body axes at the core's CG, x forward, z down (pitch plane); stations are metres aft of the nose. The vehicle flies
-along x at speed U without turning, under the specific axial force a = (T - D) / m. Equations are those of Lee, Ahn &
-Roh, 1 to 27, in the paper's form: forces and moments on a body of mass m and inertia I (1, 2), a modal force (14),
-pendulums driven by the motion of their hinge (21). Each erratum is a switch (errata.py). With `PAPER`
-they are the equations as printed, with `CORRECTED` the physics that the simulator flies. tests/oracles/
-dalembert_plant.py derives the corrected ones independently, by d'Alembert's principle.
+along x at speed U without turning, under the specific axial force a = (T - D) / m. The equations are those of Lee, Ahn
+& Roh, 1 to 27, in the paper's form: forces and moments on a body of mass m and inertia I (1, 2), a modal force (14),
+pendulums driven by the motion of their hinge (21). Each erratum is a switch (errata.py). With `PAPER` they are the
+equations as printed, with `CORRECTED` the physics that the simulator flies. tests/oracles/dalembert_plant.py derives
+the corrected ones independently, by d'Alembert's principle.
 
-The constant g cos(theta_0) acts on every particle alike and is left out: it bends the path (gravity turn). Gravity does
+The constant g cos(theta_0) acts on every particle alike and curves the path (gravity turn); it is omitted. Gravity does
 no work on a free-free mode (erratum 3). Thrust T acts at the displaced gimbal along the bent axis, each lifting surface
 on its local angle of attack, drag along the wind; the engine behind the gimbal (I_E about it, first moment S = m_E l_E)
-reacts to delta'' and hangs under the axial load (8). Its rate does not enter. Slosh damping is a force between bob and
+reacts to delta'' and hangs under the axial load (8). Its rate has no effect. Slosh damping is a force between bob and
 tank:
 
-    M_S = - sum m_p [ a l_p G + 2 zeta w L (l_p - L) G' ],
+    M_S = - sum m_p [ a l_p G + 2 zeta w L (l_p - L) G' ].
 
-not with the hinge's arm l_p for both as (27) prints (erratum 22): the rod's pull acts at the hinge, the liquid's
-friction at the bob, l_p - L forward of the CG. The printed pair of damping forces is not on one line and so does not
-conserve angular momentum.
+(27) prints the hinge's arm l_p for both terms (erratum 22). The rod's pull acts at the hinge, the liquid's friction at
+the bob, l_p - L forward of the CG. The printed pair of damping forces is not on one line, so it does not conserve
+angular momentum.
 
 With a TVC load (docs/model.md, section 14) an engine's angle is a state and its acceleration an unknown. Spring and
 damper to the actuator, the axial load on its mass, and the vehicle's accelerations drive it. By reciprocity, its
 acceleration drives the vehicle equally. Engines of a cluster drive each other through the motions of this plane. Their
 effects on roll and on the other plane cancel in a cluster symmetric about the plane, and are omitted otherwise.
 
-A *drive* is an actuator's motion, which the law commands: all groups of engines with alike actuators are one. Inputs of
-further drives have their number behind the name (`delta_rad_2`).
+A *drive* is an actuator's motion, which the law commands: all groups of engines with alike actuators are one. The names
+of further drives' inputs end with their number (`delta_rad_2`).
 
-Where the paper leaves something open: delta_b = -sigma_T eta and alpha_b = sigma_s eta + phi_s eta' / U (16, 17), phi
-at the surface, gimbal or hinge at which a force acts, the derivatives (4 to 8) of the whole vehicle with its liquid
+Choices that the paper leaves open: delta_b = -sigma_T eta and alpha_b = sigma_s eta + phi_s eta' / U (16, 17), phi at
+the surface, gimbal or hinge at which a force acts, the derivatives (4 to 8) of the whole vehicle with its liquid
 frozen, I_E as that about the engine's CG (20), a_x = (T - D) / m, and W' - g_z - U q in (21) from (1).
 
 Lateral slosh of an upright cylinder as a pendulum (22, 23, 25, with errata 6 and 7): with the tank's radius R, the
-liquid's depth h and xi the first root of J1' (NASA SP-106, ch. 6; Dodge, The New "Dynamic Behavior of Liquids in
-Moving Containers", 2000),
+liquid's depth h and xi the first root of J1' (NASA SP-106, ch. 6; Dodge, The New "Dynamic Behavior of Liquids in Moving
+Containers", 2000),
 
     L = R / (xi tanh(xi h / R)),    m_p = m 2 R tanh(xi h / R) / (xi h (xi^2 - 1)),
     hinge above the liquid's CG by  h / 2 - (2 R / xi) tanh(xi h / (2 R)) + L.
 
 Spatial modes move in both planes. The plant of one plane then also has the states of the other plane ("across"), with
-the same equations. The force of a spatial mode is the sum of both. Along the body axis thrust and liquid hold the modes
-deflected: the plant is that about this deflection, to its first order, with the liquid that rides on its tanks. Torsion
-meets the gimbal only in the second order and is left out, but for the rotation that the roll gyro feels.
+the same equations. The force of a spatial mode is the sum over both planes. Along the body axis, thrust and liquid hold
+the modes deflected. The plant is linear about this deflection and includes the liquid that moves with its tanks.
+Torsion affects the gimbal only in second order and is omitted, except for the rotation that the roll gyro measures.
 
-Yaw plane: the same with  w -> v, q -> -r, theta -> -psi, eta -> xi, delta -> -delta_yaw, gyro -> -gyro,  because B's
-z axis turned into y takes the pitch axis y into -z: a positive angle moves the gimbal's thrust to +z in pitch but to -y
-in yaw. From command to gyro both signs change and the transfer function stays.
+Yaw plane: the same with w -> v, q -> -r, theta -> -psi, eta -> xi, delta -> -delta_yaw, gyro -> -gyro. The rotation
+that takes B's z axis to y takes the pitch axis y to -z, so a positive angle moves the gimbal's thrust to +z in pitch
+but to -y in yaw. From command to gyro both signs change, and the transfer function is the same.
 """
 
 from __future__ import annotations
@@ -70,14 +70,14 @@ CORRECTED = Errata()
 
 @dataclass(frozen=True)
 class Liquids:
-    """Radius and liquid depth of each tank, (tanks,)."""
+    """The radius and liquid depth of each tank, (tanks,)."""
 
     radius_m: Array
     height_m: Array
 
 
 def axial_load_mps2(vehicle: PlanarVehicle, condition: FlightCondition) -> float:
-    """Axial specific force of the whole vehicle, (thrust - drag) / mass, its engines where they hang under it."""
+    """Return the axial specific force of the vehicle with hanging engines, (thrust - drag) / mass."""
     drag = condition.dynamic_pressure_Pa * vehicle.aerodynamics.area_m2 * vehicle.aerodynamics.axial
     load = (vehicle.thrust_N(condition.pressure_Pa) - drag) / vehicle.body.total_mass_kg
     for _ in range(3 if vehicle.sags else 0):  # sag takes some 1e-5 of it
@@ -92,18 +92,19 @@ def vehicle_plant(
     liquids: Liquids | None = None,
     wind: bool = False,
 ) -> StateSpace:
-    """Return the plant from actuator motion, which engines follow or swing on, to rates of body, modes and pendulums.
+    """Return the plant from actuator motion, on which engines follow or swing, to rates of body, modes and pendulums.
 
     States w (m/s, of the body point at the core's CG), q (rad/s), theta (rad), eta (m), eta' (m/s), G (rad), G'
-    (rad/s), angle and rate of each engine on a TVC load; inputs `inputs_of`, outputs OUTPUTS, of which the local rate
-    is that at the gyro, q + sum sigma_G eta' (12 with erratum 1), then what the vehicle's other sensors feel: the local
-    rate, or the lateral specific force in axes that turn with the bent body (docs/model.md, section 2), and of a
-    vehicle with `cuts` the bending moment at each, N m (sections.py; of corrected physics only). With `wind` the last
-    input of the plane is the air's lateral velocity in it, m/s. A vehicle with spatial modes has the states, inputs and
-    outputs of the other plane besides (its modes, tanks and engines are numbered on), and the roll rate of its modes at
-    the gyro; `alone` has them held. Raises ValueError where the axial load is not positive and there are pendulums,
-    and where an
-    erratum of the tanks is left in and `liquids` does not say what they hold.
+    (rad/s), angle and rate of each engine on a TVC load. Inputs are `inputs_of`. The outputs are OUTPUTS, of which the
+    local rate is that at the gyro, q + sum sigma_G eta' (12 with erratum 1), then the measurements of the vehicle's
+    other sensors: the local rate, or the lateral specific force in axes that turn with the bent body (docs/model.md,
+    section 2). A vehicle with `cuts` also has the bending moment at each, N m (sections.py; corrected physics only).
+    With `wind`, the last input of the plane is the air's lateral velocity in it, m/s. A vehicle with spatial modes also
+    has the states, inputs and outputs of the other plane (its modes, tanks and engines are numbered consecutively), and
+    the roll rate of its modes at the gyro; `alone` holds them.
+
+    Raises ValueError where the axial load is not positive and there are pendulums, and where an erratum of the tanks is
+    uncorrected and `liquids` is missing.
     """
     load = axial_load_mps2(vehicle, condition)
     _check_load(vehicle, load)
@@ -152,9 +153,9 @@ def _with_printed_tanks(vehicle: PlanarVehicle, errata: Errata, liquids: Liquids
 def as_printed(pendulums: Pendulums, liquids: Liquids, radius: bool, liquid: bool) -> Pendulums:
     """Return the pendulums of eqs 22, 23 and 25 with their errata uncorrected.
 
-    `radius` False: the diameter in place of the radius. `liquid` False: all propellant in place of that in the tank.
-    Mass and place of the liquid follow from the true pendulum; the hinge, which the paper does not give, is placed by
-    the formula above with the same radius. The damping ratio is kept.
+    `radius` False: the diameter instead of the radius. `liquid` False: all propellant instead of that in the tank. Mass
+    and place of the liquid follow from the true pendulum. The paper does not give the hinge; the formula above places
+    it, with the same radius. The damping ratio is unchanged.
     """
     r = liquids.radius_m
     h = np.maximum(liquids.height_m, _SHALLOWEST * r)

@@ -1,8 +1,8 @@
-"""Bending moment at cuts of the body axis, of the vehicle as a linear system (plant.py).
+"""Compute the bending moment at cuts of the body axis, of the vehicle as a linear system (plant.py).
 
-As in docs/model.md, section 13, the moment of everything that acts forward of the cut, inertial forces included, about
-+y (pitch; in yaw about -z, the plane's mirror image). A force f_z at a station x <= s adds -(s - x) f_z, a force f_x
-at a point that bending displaces by w from the cut w f_x. Linear about a straight body in axial flight, of the forces
+As in docs/model.md, section 13, it is the moment of all forces forward of the cut, including inertial ones, about +y
+(pitch; in yaw about -z, the plane's mirror image). A force f_z at a station x <= s adds -(s - x) f_z; a force f_x at a
+point that bending displaces by w from the cut adds w f_x. Linear about a straight body in axial flight, with the forces
 of plant.py:
 
     M = int m (s - x) (a_z - (x_cg - x) q' + phi~ eta'') dx + couple
@@ -10,7 +10,7 @@ of plant.py:
         - sum (s - x_k) F_k - int (s - x) f dx                 lifting parts; the rest of the air, linear in x
         - sum m_p a [(s - x_h) G + (phi_h - phi_s) eta] - sum (s - x_b) R     rods; dampers at the bobs
 
-The masses are the line mass that the simulator's section loads are packed with, its equations are written here again:
+The masses are the line mass of the simulator's packed section loads. Its equations are written again here:
 tests/test_oracle_wind_bending.py compares the two.
 """
 
@@ -28,7 +28,7 @@ from maxq.sim.vehicle.loads import kernel as packed_loads
 
 @dataclass(frozen=True)
 class Cuts:
-    """Stations at which the moment is wanted, (cuts,), and what is forward of each, of one plane's modes."""
+    """The stations of the cuts, (cuts,), and the contributions forward of each, for the modes of one plane."""
 
     station_m: Array
     whole: Array  # (3,): mass, first and second moment of the line mass about the nose, kg m^n
@@ -42,7 +42,7 @@ class Cuts:
 
 
 def cuts_of(pool: Array, row: Any, clock_s: float, pitch: bool) -> Cuts | None:
-    """Those of a packed stage at an instant of its tables' clock; None without section loads or with spatial modes."""
+    """Return the cuts of a packed stage at an instant of its clock; None without loads or with spatial modes."""
     loads, sizes = row.loads, row.vehicle.sizes
     count = int(loads.stations)
     if count == 0 or int(sizes.spatial_modes) > 0:
@@ -68,7 +68,7 @@ def cuts_of(pool: Array, row: Any, clock_s: float, pitch: bool) -> Cuts | None:
 
 
 def bending_moments(e: Any, cuts: Cuts, lateral: Array, turning: Array, bending: Array) -> list[Array]:
-    """Return the bending moments (N m), one row for each cut, from the accelerations of body and modes."""
+    """Return the bending moments (N m), one row per cut, from the accelerations of body and modes."""
     total, first, second = cuts.whole
     scale, cg = e.mass / total, e.cg
     # the flow's Coriolis force acts where the propellant flows: spread as the mass is
@@ -101,7 +101,7 @@ def bending_moments(e: Any, cuts: Cuts, lateral: Array, turning: Array, bending:
 
 
 def _of_tank(e: Any, k: int, station: float, bottom_m: float, here: Array) -> Array:
-    """Return the moments of the rod's pull, along the axis at the tank's bottom, and of the damper."""
+    """Return the moments of the rod's axial pull at the tank bottom, and of the damper."""
     bobs, phi = e.vehicle.pendulums, e.vehicle.modes.phi_hinge[:, k]
     hinge, bob, row = e.hinge_station_m[k], e.hinge_station_m[k] + bobs.length_m[k], 0.0 * here
     if hinge <= station:
@@ -118,7 +118,7 @@ Lift = tuple[float, Array, Array]
 
 
 def _air(e: Any, cuts: Cuts) -> tuple[list[Lift], tuple[Array, Array]]:
-    """Return the lifting parts, and the force a metre of the rest over the body: constant and slope, from its nose."""
+    """Return the lifting parts, and the force per metre of the remaining air: constant and slope, from the nose."""
     air, (nose, tail) = e.vehicle.aerodynamics, cuts.ends_m
     flow = 0.5 * e.condition.density_kgpm3 * e.condition.airspeed_mps * air.area_m2
     force, first = e.air_force, e.cg * e.air_force + e.air_moment

@@ -1,7 +1,7 @@
-"""Parameters of a vehicle and its flight condition at one instant, for one plane of one stage.
+"""Read the parameters of a vehicle and its flight condition at one instant, for one plane of one stage.
 
-They are read from the packed tables that the simulator flies, so that both describe the same vehicle; equations are
-not shared (docs/model.md is the simulator's, tests/oracles/planar/plant.py has its own derivation).
+They come from the packed tables of the simulator, so both describe the same vehicle. The equations are not shared:
+docs/model.md has the simulator's, and tests/oracles/planar/plant.py an independent derivation.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from maxq.sim.vehicle import schedule
 
 @dataclass(frozen=True)
 class Body:
-    """The core: all but the sloshing masses. Stations in m aft of the nose; the inertia is about the core's CG."""
+    """The core: the vehicle without the sloshing masses. Stations in m aft of the nose; inertia about the core's CG."""
 
     core_mass_kg: float  # without the sloshing masses, engine straight
     core_cg_station_m: float
@@ -40,7 +40,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Pendulums:
-    """The slosh modes, tank by tank: arrays of one entry each, (pendulums,)."""
+    """The slosh modes by tank, as arrays with one entry each, (pendulums,)."""
 
     mass_kg: Array
     mass_rate_kgps: Array
@@ -53,11 +53,11 @@ class Pendulums:
     swing_rad: Array  # at which they do: that of a flight (node.with_swings), 0 of a vehicle that none has flown
 
     def small_wave_damping(self, load_mps2: float) -> Array:
-        """Return the damping ratio in small waves, where baffles have no effect, under an axial load."""
+        """Return the damping ratio in small waves under an axial load; baffles have no effect there."""
         return np.asarray(self.damping_ratio + self.viscous * np.maximum(load_mps2, 1e-9) ** -0.25)
 
     def damping(self, load_mps2: float) -> Array:
-        """Damping ratio of a swing of `swing_rad`: the describing function of the rings (docs/model.md, 5.9)."""
+        """Return the damping ratio at `swing_rad`, the describing function of the rings (docs/model.md, 5.9)."""
         return np.asarray(self.small_wave_damping(load_mps2) + self.ring * np.sqrt(self.swing_rad))
 
     @property
@@ -67,7 +67,7 @@ class Pendulums:
 
 @dataclass(frozen=True)
 class Along:
-    """Displacement along x of spatial modes at the places of `Modes`; each (spatial modes, places)."""
+    """The displacements of spatial modes along x at the places of `Modes`; each (spatial modes, places)."""
 
     gimbals: Array
     hinges: Array
@@ -77,10 +77,10 @@ class Along:
 
 @dataclass(frozen=True)
 class Modes:
-    """The modes: arrays of one entry each, (modes,), and the shapes at further places (modes, places).
+    """The modes, as arrays with one entry each, (modes,), and their shapes at further places (modes, places).
 
-    phi is positive in +z (pitch) or +y (yaw); slopes are d(phi)/d(station), 1/m. The first `spatial` are spatial modes,
-    with the part that they have in this plane, the same ones in both; then those of the plane.
+    phi is positive in +z (pitch) or +y (yaw); slopes are d(phi)/d(station), 1/m. The first `spatial` modes are spatial,
+    with their component in this plane, and are the same in both planes. The modes of the plane follow.
     """
 
     omega_radps: Array
@@ -129,7 +129,7 @@ class PlanarVehicle:
         return any(engine.sags for engine in self.engines)
 
     def hanging(self, load_mps2: float) -> PlanarVehicle:
-        """Return the same vehicle with its engines at their positions under the axial load."""
+        """Return the vehicle with its engines at their positions under the axial load."""
         if not self.sags:
             return self
         hung = tuple(engine.hanging(load_mps2) for engine in self.engines)
@@ -181,7 +181,7 @@ def vehicle_at(
 ) -> PlanarVehicle:
     """Read a burning stage at `time_s` of its own clock and a Mach number.
 
-    `trim`: angles of attack and sideslip, rad, at which tables over angle of attack have their slopes.
+    `trim`: angles of attack and sideslip, rad, at which tables over angle of attack are differentiated.
     """
     one = _in_plane(packed, time_s, mach, plane, stage, trim)
     if one.modes.spatial == 0:
@@ -392,7 +392,7 @@ def _gains(packed: Packed, row: Any, time_s: float, plane: str) -> list[float]:
 def with_pendulums(vehicle: PlanarVehicle, pendulums: Pendulums) -> PlanarVehicle:
     """Return the vehicle with other pendulums and the same total mass, CG and inertia, liquid frozen.
 
-    The core makes up the difference. Raises ValueError where no core is left.
+    The core makes up the difference. Raises ValueError where no core mass is left.
     """
     old, body = vehicle.pendulums, vehicle.body
     total = body.core_mass_kg + old.mass_kg.sum(axis=0)
@@ -411,7 +411,10 @@ def with_pendulums(vehicle: PlanarVehicle, pendulums: Pendulums) -> PlanarVehicl
 
 
 def stability_derivatives(vehicle: PlanarVehicle, condition: FlightCondition) -> StabilityDerivatives:
-    """Derivatives at a flight condition. Raises ValueError at rest, where eqs 4 and 5 divide by the speed."""
+    """Return the stability derivatives at a flight condition.
+
+    Raises ValueError at rest, where eqs 4 and 5 divide by the speed.
+    """
     if condition.airspeed_mps <= 0.0:
         raise ValueError("stability derivatives are defined for positive airspeed only")
     a, speed = vehicle.aerodynamics, condition.airspeed_mps

@@ -7,8 +7,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
+from textwrap import fill
 from typing import Any
 
+from maxq.sim.flight.metric_table import title_of
+
+WIDTH = 120  # characters of a line of text
 SHOWN_METHODS = ("step_s=0.001", "step_s=0.005", "accuracy=0.05")
 SHOWN_STEPS_MS = (5.0, 2.0, 1.0, 0.25)
 SHOWN_STRUCTURES = ("F2", "F4", "F6")
@@ -120,18 +124,18 @@ def _precision(result: dict[str, Any]) -> str:
     quantities = ("attitude, deg", "bending, m", "slosh, deg", "position, m")
     head = ["method", "derivatives per s", "CPU, s", *quantities]
     reference, motion = result["reference"], result["reference"]["motion"]
-    return (
-        _table(head, rows)
-        + f"\n\nReference: DOP853 at rtol {reference['relative']:.0e}, {reference['evaluations_per_s']:,}"
+    text = (
+        f"Reference: DOP853 at rtol {reference['relative']:.0e}, {reference['evaluations_per_s']:,}"
         f" derivatives per second of flight. The bending coordinates reach {motion['bending_m']:.1e} m and the"
         f" pendulums {motion['slosh_deg']:.1f} deg."
     )
+    return f"{_table(head, rows)}\n\n{fill(text, WIDTH)}"
 
 
 def _steps(result: dict[str, Any]) -> str:
     head = (
         "flight",
-        "",
+        "method",
         "longest step, ms",
         "steps/s",
         "CPU, s",
@@ -155,7 +159,7 @@ def _steps(result: dict[str, Any]) -> str:
                     f"{row['cpu_s']:.3f}",
                     *(f"{row[q]:.1e}" for q in ("attitude_deg", "bending_m", "slosh_deg")),
                     f"{row['position_m']:.1e}",
-                    f"{row['worst_metric']}: {row['share']:.1e}",
+                    f"{title_of(row['worst_metric']).removeprefix('largest ')}: {row['share']:.1e}",
                 ]
             )
     return _table(head, rows)
@@ -275,10 +279,11 @@ def _met(value: float, limit: float) -> str:
 def _machine(results: dict[str, Any]) -> str:
     m = results["machine"]
     loads = ", ".join(f"{name} {s['load']:.1f}" for name, s in results["sections"].items())
-    return (
+    text = (
         f"Measured with maxq {m['maxq']} on {m['processor']} ({m['cores']} cores), Python {m['python']},"
         f" NumPy {m['numpy']}, Numba {m['numba']}. Load average over 1 minute at the start of each part: {loads}."
     )
+    return fill(text, WIDTH)
 
 
 REPLAY = (

@@ -34,7 +34,7 @@ IDEAL = ("switches.converter=ideal", "switches.roll_control=false", "vehicle.com
 ACTUATOR = "vehicle.stage.0.actuator"
 CASES = {
     "KSR-III": ("nominal", ("run.duration_s=59",)),
-    "KSR-III, third mode 60 Hz": (
+    "KSR-III, mode 3 at 60 Hz": (
         "nominal", ("run.duration_s=59",
                     "vehicle.stage.0.bending.frequency_factor=[1.0, 1.0, 1.2]"),
     ),

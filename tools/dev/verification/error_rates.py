@@ -97,8 +97,8 @@ ROWS: Mapping[str, Callable[[int, float], str]] = {
     f"any of {SEEDS} seeds, without the ledger": partial(best_of_seeds, lack=[[]] * SEEDS),
     f"any of {SEEDS} seeds, with the ledger": partial(best_of_seeds, lack=lacking(SEEDS)),
     "rare, hyperplane in 20": partial(rare, lambda p: plane(p, 20)),
-    "rare, noise with 0.5 of the standard deviation": partial(rare, lambda p: noisy(0.5, p)),
-    "rare, noise with 0.95 of the standard deviation": partial(rare, lambda p: noisy(0.95, p)),
+    "rare, noise of 0.5 sigma": partial(rare, lambda p: noisy(0.5, p)),
+    "rare, noise of 0.95 sigma": partial(rare, lambda p: noisy(0.95, p)),
     "rare, sudden": partial(rare, discrete),
     "rare, saturating decoy": partial(rare, decoy),
 }

@@ -22,7 +22,7 @@ DOCUMENT = VERIFICATION
 BEGIN, END = markers("nesc")
 
 HEADER = """\
-| case | scenario | step, s | compared | missed | nearest to its tolerance | difference | limit | ratio | s |
+| case | scenario | step, s | compared | missed | nearest to its tolerance | difference | limit | ratio | at, s |
 |---|---|---|---|---|---|---|---|---|---|
 """
 

@@ -21,10 +21,18 @@ from maxq.tools.dev.verification.section import VERIFICATION, rewrite
 TIME_S = 40.0
 
 
+def margin_text(what: str, difference: float, unit: str) -> str:
+    """Return the change of a margin with its name and unit; milliseconds for a delay."""
+    if unit == "s":
+        difference, unit = 1e3 * difference, "ms"
+    name = {"gain_up": "upper gain", "gain_down": "lower gain"}.get(what, what)
+    return f"{name} {difference:+.3g} {unit}"
+
+
 def row(fault: PlantedFault, found: NodeCertificate) -> str:
     """Return the row of the table for a fault."""
     r = found.responses
-    off = [f"{e.what} {e.difference:+.3g} {e.unit}" for e in found.margins if not e.agrees]
+    off = [margin_text(e.what, e.difference, e.unit) for e in found.margins if not e.agrees]
     clean = np.isfinite(r.unrounded_db)
     db, deg = np.where(clean, r.unrounded_db, r.difference_db), np.where(clean, r.unrounded_deg, r.difference_deg)
     share = np.nan_to_num(np.maximum(np.abs(db) / WITHIN_DB, np.abs(deg) / WITHIN_DEG), nan=np.inf)

@@ -91,9 +91,7 @@ STATES = {
     "sudden, 0.1 %": discrete(0.001),
     "smooth 1e-5 and sudden 0.1 %": cliff(1e-5, 1e-3),
 } | {
-    f"noise with {share:g} of the standard deviation, {p:.0e}": noisy(share, p)
-    for share in (0.3, 0.5, 0.8, 0.95)
-    for p in (1e-3, 1e-4, 1e-5)
+    f"noise of {share:g} sigma, {p:.0e}": noisy(share, p) for share in (0.3, 0.5, 0.8, 0.95) for p in (1e-3, 1e-4, 1e-5)
 }
 STATES |= {f"saturating decoy, {p:.0e}": decoy(p) for p in (1e-4, 1e-5)}
 
@@ -112,7 +110,8 @@ def row(name: str, repetitions: int) -> str:
     undecided = 1.0 - len(decided) / repetitions
     flights = np.mean([one.flights for one in found])
     shares = " | ".join(f"{share:.0%}" for share in (undecided, above_it, below_it))
-    return f"| {name} | {state.probability:.1e} | {shares} | {ratio} | {flights:.0f} |"
+    shown = name.removesuffix(f", {state.probability:.0e}")  # the next column gives the probability
+    return f"| {shown} | {state.probability:.1e} | {shares} | {ratio} | {flights:.0f} |"
 
 
 def main() -> None:
