@@ -18,7 +18,7 @@ import maxq
 from maxq import Flight, FlightRun, ScenarioError, record
 from maxq.control.kernel.records import pack
 from maxq.sim.flight.oscillators import put_functions, put_oscillator
-from maxq.sim.packing.integration import Oscillation, method_error, oscillations, worst_error
+from maxq.sim.packing.integration import Oscillation, method_error, oscillations, unstable, worst_error
 from maxq.sim.packing.vehicle import pack_actuators
 from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import step_failure
@@ -88,6 +88,37 @@ def test_a_mode_that_is_too_fast_for_the_step_is_said(tmp_path: Path) -> None:
     assert f"warning: {told['warning']}" in report(flight, [], 0.0)
     usual = fly(load_scenario("nominal", fast[:1]), log=False)
     assert "integrator" not in report(usual, [], 0.0)
+
+
+@pytest.mark.parametrize("zeta", [1e-6, 0.15, 0.9, 1.0, 2.0])
+def test_a_step_with_which_the_integrator_is_unstable_is_refused(zeta: float) -> None:
+    """The limit is that of the method applied to a matrix: 2.83 on the imaginary axis, 2.79 on the real one."""
+    w = 2.0 * math.pi * 30.0
+    a = np.array([[0.0, 1.0], [-w * w, -2.0 * zeta * w]])
+
+    def grows(h: float) -> bool:
+        z = a * h
+        step = np.eye(2) + z @ (np.eye(2) + z @ (np.eye(2) + z @ (np.eye(2) + z / 4.0) / 3.0) / 2.0)
+        return bool(np.abs(np.linalg.eigvals(step)).max() > 1.0)
+
+    low, high = 0.1 / w, 4.0 / w
+    while high - low > 1e-9:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if grows(middle) else (middle, high)
+    slow = ["run.duration_s=1.0", "vehicle.computer.sample_s=0.03", "switches.bending=false", "switches.actuator=ideal"]
+    gyro = ["vehicle.stage.0.gyro.omega_hz=30.0", f"vehicle.stage.0.gyro.zeta={zeta}"]
+
+    def largest(factor: float) -> list[str]:
+        return [*slow, *gyro, f"run.step_s={round(factor * low, 7)}"]
+
+    assert unstable(load_scenario("nominal", largest(0.999)).scenario) is None
+    refused = load_scenario("nominal", largest(1.001))
+    assert unstable(refused.scenario) == Oscillation("gyro", 30.0, zeta)
+    with pytest.raises(ScenarioError, match=r"run\.step_s = 0\.0\d+: the integrator is unstable for gyro \(30 Hz\)"):
+        FlightRun(refused)
+    sampled = load_scenario("nominal", [*slow[:1], *slow[2:], *gyro, "run.step_s=1.0"])  # steps end at samples
+    assert (unstable(sampled.scenario) is None) == (zeta <= 1.0)
+    assert unstable(load_scenario("nominal", [*slow, *gyro, "run.accuracy=0.05"]).scenario) is None
 
 
 # --- steps by run.accuracy

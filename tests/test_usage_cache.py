@@ -203,12 +203,12 @@ def test_a_killed_compilation_keeps_what_was_finished(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="no owners of files on this system")
-@pytest.mark.parametrize("part", ["", "verified"])
+@pytest.mark.parametrize("part", ["", "verified", "verified/below"])
 def test_cache_to_which_others_may_write_is_refused(tmp_path: Path, part: str) -> None:
     cache = tmp_path / "cache"
     (cache / part).mkdir(parents=True)
     (cache / part).chmod(0o777)
-    code = "from maxq.control.kernel.machine import own_cache; own_cache('verified')"
+    code = "from maxq.control.kernel.machine import own_cache; own_cache('verified/below')"
     refused = call(cache, "-c", code)
     assert refused.returncode == 1
     assert "other users may write to this cache" in refused.stderr

@@ -323,6 +323,35 @@ def test_bounds_that_nothing_meets(tmp_path: Path) -> None:
         campaign.plan.draw(0, 1)
 
 
+def test_a_refused_campaign_leaves_no_folder(tmp_path: Path) -> None:
+    """A folder that was there stays, as does one with completed runs."""
+    refused = campaignkit.small(tmp_path, inputs=BOUNDED + "at_least = 2.0\n")
+    (tmp_path / "made").mkdir()
+    for name in ("made", "out"):
+        with pytest.raises(CampaignError, match="are all outside its bounds"):
+            run_campaign(refused, tmp_path / name)
+    assert (tmp_path / "made").exists()
+    assert not (tmp_path / "out").exists()
+    inputs = BOUNDED.replace("mean = 0.0", "mean = 0.01")
+    late = campaignkit.small(tmp_path, inputs=inputs, campaign='outside = "refuse"')
+    run_campaign(late.with_campaign(runs=1), tmp_path / "out")
+    with pytest.raises(CampaignError, match=r"run [1-9]\d*: .* is outside its bounds"):
+        run_campaign(late, tmp_path / "out")
+    assert len(list((tmp_path / "out" / "runs").iterdir())) >= 1
+
+
+def test_a_step_with_which_the_integrator_is_unstable_is_refused_before_the_folder_is_made(tmp_path: Path) -> None:
+    campaign = maxq.load(
+        campaignkit.write_campaign(tmp_path),
+        "run.step_s=0.01",
+        "vehicle.computer.sample_s=0.02",
+        "vehicle.stage.0.bending.frequency_factor=[1.0,1.0,4.0]",
+    )
+    with pytest.raises(ScenarioError, match=r"run.step_s = 0.01: the integrator is unstable for pitch mode 3 "):
+        run_campaign(campaign, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_as_many_draws_are_tried_as_the_message_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     campaign = campaignkit.small(tmp_path, runs=60, inputs=BOUNDED)
     redraws = campaign.plan.draw(0, 60).redraws.tolist()
@@ -346,6 +375,10 @@ def test_as_many_draws_are_tried_as_the_message_says(tmp_path: Path, monkeypatch
         ('key = "wind.factor"\ndistribution = "gauss"', "is not one of the choices"),
         ('key = "wind.factor"\ndistribution = "uniform"\nlow = 2.0\nhigh = 1.0', "low is above high"),
         ('key = "wind.factor"\ndistribution = "normal"\nsigma = 1.0\nhigh = 1.0', "has no meaning here"),
+        (
+            'key = "wind.factor"\ndistribution = "normal"\nsigma = 1.0\nat_least = 2.0\nat_most = 1.0',
+            "disperse.0.at_least = 2.0: is above at_most; allowed: at most 1",
+        ),
         ('keys = ["wind.factor"]\ndistribution = "normal"\ncovariance = [[1.0, 0.0]]', "is not a matrix of 1 by 1"),
         ('distribution = "samples"\nkey = "wind.factor"\nfile = "none.csv"', "no such file"),
         ('key = "run.seed"\ndistribution = "uniform"\nlow = 0.0\nhigh = 9.0', "run.seed is dispersed"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import layoutkit
 import numpy as np
@@ -14,7 +15,7 @@ from maxq.sim.run.flight import Event
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simvehicle
-from maxq.tools.vehicle import first_gains
+from maxq.tools.vehicle import files, first_gains
 from maxq.tools.vehicle.build import build
 from maxq.tools.vehicle.first_gains import FirstGains, checked
 from maxq.tools.vehicle.layout import read_layout
@@ -79,3 +80,24 @@ def test_gains_that_are_not_found_are_named(
     assert said.startswith(
         f"UNSTABLE: {read_layout('ksr3').name}; {where}; design it with: simdesign {tmp_path}/case.toml"
     )
+
+
+def test_a_value_that_only_the_vehicle_rejects_is_an_error_of_the_layout(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The layout's own checks are switched off by an edit of the vehicle that is made from it."""
+    made = files._vehicle
+
+    def edited(*given: Any) -> dict[str, Any]:
+        vehicle: dict[str, Any] = made(*given)
+        vehicle["reference"]["length_m"] = -1.0
+        return vehicle
+
+    monkeypatch.setattr(files, "_vehicle", edited)
+    assert simvehicle.main(["ksr3", "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert said == (
+        f"simvehicle: ksr3: the vehicle made from it is not valid: {tmp_path}/out/vehicle/vehicle.toml: "
+        "reference.length_m = -1.0: is out of range; allowed: a number > 0 (and 3 more)"
+    )
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []

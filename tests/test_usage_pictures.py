@@ -324,6 +324,13 @@ def test_data_of_a_figure_hold_all_that_is_drawn_and_end_no_script() -> None:
     ]
 
 
+@pytest.mark.parametrize("name", ['=HYPERLINK("http://a")', "+1", "-1", "@a", "\tb"])
+def test_a_name_is_no_formula_of_a_spreadsheet(name: str) -> None:
+    x = np.array([-1.0])
+    rows = list(csv.reader(io.StringIO(as_csv(Plot("p", "title", [Panel(name, [line(x, x, name)])])))))
+    assert rows[1][:4] == [f"'{name}", f"'{name}", "-1.0", "-1.0"]
+
+
 def test_a_thinned_curve_stays_within_a_share_of_its_range() -> None:
     x = np.linspace(0.0, 10.0, 20001)
     y = np.sin(x) + 5.0 * np.exp(-(((x - 4.0) / 0.01) ** 2))

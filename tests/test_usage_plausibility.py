@@ -6,7 +6,7 @@ import json
 import re
 import shutil
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from scenario_files import write_ascent
 
 import maxq
 from maxq import ScenarioError
+from maxq.sim.scenario import plausibility
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 
@@ -61,6 +62,11 @@ def test_the_sphere_of_the_check_cases_is_none() -> None:
             "vehicle.stage.0.mass.table.Iyy_kgm2 = 6.5893e+07 is implausible; usual: at most 3e+05",
         ),
         (["stage.0.engine.thrust_factor=100.0"], "engine.table.thrust_vacuum_N = 1.5e+07 is implausible"),
+        (
+            ["stage.0.engine.exit_area_m2=1.18"],
+            "vehicle.stage.0.engine.exit_area_m2 = 1.18 is implausible; usual: at most the cross section of the body, "
+            "0.785 m2",
+        ),
         (["stage.0.engine.thrust_factor=0.1"], "usual: more than the weight of 2.627e+04 N, or it is never"),
     ],
 )
@@ -252,3 +258,27 @@ def test_warnings_in_summary_and_report(here: Path, capsys: pytest.CaptureFixtur
     assert "warning: vehicle.stage.0.engine.thrust_factor is not expected to" in capsys.readouterr().out
     assert "is not expected to change its sign" in (here / "flown" / "report.html").read_text()
     assert len(implausible(json.loads((here / "flown" / "summary.json").read_text())["warnings"])) == 1
+
+
+def test_log_rates_above_that_of_the_steps(here: Path) -> None:
+    at_most = "is implausible; usual: at most {} Hz, a row for each step"
+    found = load_scenario("ascent.toml", ["log.fast_hz=2e3", "log.slow_hz=5e3"]).warnings
+    said = {w.partition(" is ")[0]: w for w in found if w.startswith("log.")}
+    assert said["log.fast_hz = 2000"].endswith(at_most.format(1000))
+    assert said["log.slow_hz = 5000"].endswith(at_most.format(1000))
+    for more in (["log.fast_hz=2e3", "run.step_s=0.0005"], ["run.step_s=0.002"]):
+        assert not any(w.startswith("log.") for w in load_scenario("ascent.toml", more).warnings)
+
+
+def test_a_check_that_fails_is_a_warning_and_does_not_end_the_flight(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object, **__: object) -> Iterator[plausibility.Implausible]:
+        yield "mass", 1.0, "made up"
+        raise ValueError("zero-size array")
+
+    monkeypatch.setattr(plausibility, "_stage", fails)
+    found = load_scenario("ascent.toml", ["wind.factor=20.0"]).warnings
+    assert "vehicle.stage.0.mass = 1 is implausible; usual: made up" in found
+    assert "vehicle.stage.0: not all values could be checked (ValueError: zero-size array)" in found
+    assert any(warning.startswith("wind.profile = ") for warning in found)

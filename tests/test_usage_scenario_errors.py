@@ -106,6 +106,32 @@ def test_what_works_in_a_file_only(here: Path, key: str) -> None:
     assert "did you mean" not in line
 
 
+@pytest.mark.parametrize("text", ["/dev/stdin", "~/x", "2026-02-30", "noon"])
+def test_a_date_that_is_none(here: Path, text: str) -> None:
+    line = said_of("ascent.toml", f"site.utc={text}")
+    assert line == f'--set: site.utc = "{text}": is not a date and time; allowed: ISO 8601, as 2026-01-31T12:00:00Z'
+
+
+@pytest.mark.parametrize(
+    ("at", "kind", "key", "hz"),
+    [
+        ("gimbal_command", "sine", "frequency_hz", "50.1"),
+        ("rate_command", "multisine", "frequencies_hz", "[1.0, 50.1]"),
+        ("gimbal_command", "chirp", "stop_frequency_hz", "50.1"),
+    ],
+)
+def test_a_signal_above_half_of_the_sample_rate(here: Path, at: str, kind: str, key: str, hz: str) -> None:
+    """The flight computer takes 100 samples a second. A force on the body has no samples."""
+    start = "frequency_hz=1.0," if kind == "chirp" else ""
+    amplitude = "amplitude_deg" if at == "gimbal_command" else "amplitude_degps"
+    signal = f'injection=[{{{{at="{at}",axis="pitch",kind="{kind}",{start}{key}={{}},stop_s=9.0,{amplitude}=0.1}}}}]'
+    line = said_of("ascent.toml", signal.format(hz))
+    assert line == f"--set: injection.0.{key} = {hz}: would alias; allowed: at most 50 Hz, half of the sample rate"
+    load_scenario("ascent.toml", [signal.format(hz.replace("50.1", "50.0"))])
+    free = signal.format(hz).replace(at, "body_force").replace("pitch", "x").replace(amplitude, "amplitude_N")
+    load_scenario("ascent.toml", [free])
+
+
 def test_times_that_no_flight_lasts(here: Path) -> None:
     assert said_of("ascent.toml", "run.duration_s=1e12") == (
         "--set: run.duration_s = 1000000000000.0: is longer than any flight; "

@@ -138,6 +138,35 @@ def test_a_part_that_is_larger_than_is_read(tmp_path: Path, monkeypatch: pytest.
         store.read_part(path)
 
 
+@pytest.mark.parametrize("spare", [-1, 0])
+def test_texts_that_are_stored_once_and_decoded_for_each_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spare: int
+) -> None:
+    """The file states the size of its dictionary: 2 kB instead of 1,000 rows of 2 kB. Numbers take 8 bytes."""
+    path, text = tmp_path / "runs-0000000000-0000000999.parquet", "x" * 2000
+    made = pa.table({"run": np.arange(1000), "cause": [text] * 999 + [None]})
+    pq.write_table(made, path, use_dictionary=["cause"])
+    assert path.stat().st_size < 14_000
+    monkeypatch.setattr(store, "MOST_BYTES", 2 * 1000 * 8 + 999 * 2000 + spare)
+    if spare < 0:
+        with pytest.raises(CampaignError, match=r"decompresses to 0\.0 GB; 0.0 GB is the most that is read"):
+            store.read_part(path)
+    else:
+        read = store.read_part(path)
+        assert read.equals(made)
+        assert read.schema.equals(made.schema)
+
+
+def test_a_log_replaces_a_symbolic_link_and_not_the_file_behind_it(tmp_path: Path) -> None:
+    victim, path = tmp_path / "victim", tmp_path / "flight.mcap"
+    victim.write_text("mine")
+    path.symlink_to(victim)
+    LogWriter(path, TABLE, RunHead({})).close()
+    assert victim.read_text() == "mine"
+    assert not path.is_symlink()
+    assert maxq.read(path).complete
+
+
 # a log's own scenario
 
 

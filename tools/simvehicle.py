@@ -54,10 +54,9 @@ def _build(name: str, *, out: str | None = None, compare: str | None = None) -> 
     check_writable(folder)
     with Progress(at_once=True) as progress:
         try:
-            built = build(layout, progress.show)
+            built, files, gains = write_with_first_gains(build(layout, progress.show), folder, progress.show)
         except ValueError as error:
             raise ScenarioError(name, str(error)) from None
-        built, files, gains = write_with_first_gains(built, folder, progress.show)
         progress.show("drawing the page", 0, 0)
         code, outcome = Exit.OK, f"BUILT: {gains.text}"
         if weak := too_weak(built):

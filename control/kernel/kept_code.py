@@ -116,15 +116,20 @@ class _Place:
     def __init__(self, function: Any, path: str) -> None:
         self._line, own = function.__code__.co_firstlineno, is_own(path)
         name = function.__module__ if own else hashlib.sha256(os.path.abspath(path).encode()).hexdigest()[:16]
-        self._folder = os.path.join(_FOLDER, name)
+        self._folder = _own_folder(name)
         status = os.stat(path)
         self._stamp = () if own else (status.st_size, status.st_mtime_ns)
 
     @classmethod
     def from_function(cls, function: Any, path: str) -> _Place | None:
-        """Return the location, or None if nothing can be stored there."""
+        """Return the location, or None if nothing can be stored there.
+
+        Raises PermissionError for a folder that others may write to.
+        """
+        if not os.path.exists(path):
+            return None
+        place = cls(function, path)
         try:
-            place = cls(function, path)
             place.ensure_cache_path()
         except OSError:
             return None
@@ -240,4 +245,8 @@ def keep_routine(name: str, code: bytes) -> None:
 
 
 def _routine_path(name: str) -> Path:
-    return Path(_FOLDER, "routines", f"{hashlib.sha256(name.encode()).hexdigest()[:32]}.o")
+    return Path(_own_folder("routines"), f"{hashlib.sha256(name.encode()).hexdigest()[:32]}.o")
+
+
+def _own_folder(name: str) -> str:
+    return str(own_cache(os.path.join(os.path.basename(_FOLDER), name)))

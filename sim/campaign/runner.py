@@ -34,7 +34,7 @@ from maxq.sim.campaign.read import LoadedCampaign, campaign_from, description_of
 from maxq.sim.campaign.runs import VOID, Row, fly_rows, packer
 from maxq.sim.campaign.statistics import OPEN, judge_failures
 from maxq.sim.campaign.store import Store, Wait, open_store, parts_in, read_part, simulator
-from maxq.sim.run.fly import FlightRun
+from maxq.sim.run.fly import FlightRun, refuse_unstable_steps
 from maxq.sim.run.metrics import judge
 from maxq.sim.scenario.schema_scenario import RequirementSection
 
@@ -189,6 +189,7 @@ def run_campaign(
     """
     if until_settled and campaign.campaign.test == "fixed":
         raise CampaignError(f"{campaign.name}: --until-settled looks at any time; campaign.test = 'fixed' does not")
+    refuse_unstable_steps(campaign.base)
     with ExitStack() as stack:
         flyers: Threads | DaskCluster
         if cluster is None:
@@ -198,17 +199,34 @@ def run_campaign(
             flyers = DaskCluster(campaign, client)
         store, usual = open_store(folder, campaign, elsewhere, wait)
         stack.callback(store.unlock)
-        runs = campaign.campaign.runs
-        gaps = list(store.missing(runs, flyers.batch(usual, runs)))
-        tasks = flyers.begin(gaps)
-        interim = Interim(campaign)
-        interim.read(folder, runs)
-        progress = CampaignProgress(runs, runs - sum(size for _, size in gaps), interim)
-        batches = _Batches(store, gaps, progress)
-        stopped, settled = _fly(flyers, tasks, batches, progress, watch, stop, until_settled)
-        batches.write_begun()
-        watch(progress)
-        return Outcome(progress.flown, runs, stopped, settled, progress.elapsed_s, tuple(store.notes), tuple(gaps))
+        try:
+            return _flown(campaign, flyers, store, usual, watch, stop, until_settled)
+        except Exception:  # such as draws that all lie outside their bounds
+            store.discard()
+            raise
+
+
+def _flown(
+    campaign: LoadedCampaign,
+    flyers: Threads | DaskCluster,
+    store: Store,
+    usual: int,
+    watch: Callable[[CampaignProgress], None],
+    stop: Callable[[], bool],
+    until_settled: bool,
+) -> Outcome:
+    """Fly the missing runs of a campaign into its store, whose usual size of batches is `usual`."""
+    runs = campaign.campaign.runs
+    gaps = list(store.missing(runs, flyers.batch(usual, runs)))
+    tasks = flyers.begin(gaps)
+    interim = Interim(campaign)
+    interim.read(store.folder, runs)
+    progress = CampaignProgress(runs, runs - sum(size for _, size in gaps), interim)
+    batches = _Batches(store, gaps, progress)
+    stopped, settled = _fly(flyers, tasks, batches, progress, watch, stop, until_settled)
+    batches.write_begun()
+    watch(progress)
+    return Outcome(progress.flown, runs, stopped, settled, progress.elapsed_s, tuple(store.notes), tuple(gaps))
 
 
 def _fly(

@@ -226,6 +226,8 @@ class Disperse(Section):
             raise refuse("needs low, high or both", "a number", "low")
         if low > high or (low == high and self.distribution == "truncated-normal"):
             raise refuse("low is above high", f"at most {high:g}", "low")
+        if self.at_least is not None and self.at_most is not None and self.at_least > self.at_most:
+            raise refuse("is above at_most", f"at most {self.at_most:g}", "at_least")
         if self.mode is not None and not low <= self.mode <= high:
             raise refuse("is outside low .. high", f"{low:g} .. {high:g}", "mode")
         if self.values is not None:

@@ -23,6 +23,7 @@ from typing import Any
 import filelock
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 from pydantic_core import to_json
@@ -64,6 +65,22 @@ class Store:
         self.notes: list[str] = []  # findings and repairs
         self._channels = campaign.campaign.envelope.channels
         self._lock = filelock.FileLock(folder / LOCK)
+        self._made = False  # True if this process made the folder
+
+    def make(self) -> None:
+        """Create the folder if it is missing."""
+        self._made = not self.folder.exists()
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def discard(self) -> None:
+        """Remove the folder if this process made it and no run is in it."""
+        if not self._made or parts_in(self.folder):
+            return
+        with contextlib.suppress(OSError):  # another file, or a system that does not remove a locked one
+            for name in (MANIFEST, LOCK):
+                (self.folder / name).unlink(missing_ok=True)
+            (self.folder / RUNS).rmdir()
+            self.folder.rmdir()
 
     def missing(self, runs: int, batch: int) -> Iterator[tuple[int, int]]:
         """Yield the runs below `runs` that are in no part, as (first, count), divided at multiples of `batch`."""
@@ -156,18 +173,40 @@ def read_part(path: Path, columns: list[str] | None = None, schema: pa.Schema | 
     given schema.
     """
     try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            if schema is not None and not file.schema_arrow.equals(schema):
+        texts = [f.name for f in pq.read_schema(path) if pa.types.is_string(f.type)]
+        with pq.ParquetFile(path, page_checksum_verification=True, read_dictionary=texts) as file:
+            whole = _without_dictionaries(file.schema_arrow)
+            if schema is not None and not whole.equals(schema):
                 raise CampaignError(f"{path}: its columns are not those of this campaign")
             about = file.metadata
-            size = sum(about.row_group(n).total_byte_size for n in range(about.num_row_groups))
-            size = max(size, 8 * about.num_rows * about.num_columns)  # sequences of equal values take almost no space
-            if size > MOST_BYTES:
-                most = f"{MOST_BYTES / 1e9:.1f} GB"
-                raise CampaignError(f"{path}: decompresses to {size / 1e9:.1f} GB; {most} is the most that is read")
-            return file.read(columns)
+            groups = [about.row_group(n) for n in range(about.num_row_groups)]
+            values = sum(group.column(k).num_values for group in groups for k in range(group.num_columns))
+            size = sum(group.total_byte_size for group in groups)
+            _check_size(path, max(size, 8 * values))  # sequences of equal values take almost no space
+            coded = file.read(columns)  # a text once, with an index in each row
+            _check_size(path, 8 * values + sum(_text_bytes(column) for column in coded.columns))
+            return coded.cast(pa.schema([whole.field(name) for name in coded.column_names]))
     except (OSError, pa.ArrowException) as error:
         raise CampaignError(f"{path}: it cannot be read ({str(error).splitlines()[0][:100]})") from None
+
+
+def _check_size(path: Path, size: int) -> None:
+    if size > MOST_BYTES:
+        most = f"{MOST_BYTES / 1e9:.1f} GB"
+        raise CampaignError(f"{path}: decompresses to {size / 1e9:.1f} GB; {most} is the most that is read")
+
+
+def _without_dictionaries(schema: pa.Schema) -> pa.Schema:
+    fields = [f.with_type(f.type.value_type) if pa.types.is_dictionary(f.type) else f for f in schema]
+    return pa.schema(fields, schema.metadata)
+
+
+def _text_bytes(column: pa.ChunkedArray) -> int:
+    """Return the size of a dictionary-coded column's texts, one for each row, bytes; 0 for other columns."""
+    if not pa.types.is_dictionary(column.type):
+        return 0
+    lengths = [pc.binary_length(chunk.dictionary).take(chunk.indices) for chunk in column.chunks]
+    return sum(pc.sum(chunk).as_py() or 0 for chunk in lengths)
 
 
 def _write_table(table: pa.Table, path: Path) -> None:
@@ -190,8 +229,8 @@ def open_store(
             raise CampaignError(f"{folder}: is a file; a campaign needs a folder")
         if there and MANIFEST not in there and LOCK not in there:
             raise CampaignError(f"{folder}: holds other files ({there[0]}); {elsewhere}")
-        folder.mkdir(parents=True, exist_ok=True)
         store = Store(folder, campaign)
+        store.make()
         store.lock(elsewhere, wait)
         try:
             batch = _same_campaign(folder, campaign, elsewhere)

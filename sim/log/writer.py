@@ -9,6 +9,7 @@ call if calls are more frequent, and by the summary.
 from __future__ import annotations
 
 import io
+import os
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -199,6 +200,10 @@ def encode(*records: mcap_records.McapRecord) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]  # mcap does not annotate it
 
 
+def _opened(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+
+
 class Container:
     """The writer of an MCAP file, which collects the summary and passes every chunk to the operating system at once.
 
@@ -207,7 +212,9 @@ class Container:
     """
 
     def __init__(self, path: Path, profile: str, library: str) -> None:
-        self._file = io.FileIO(path, "w")  # not buffered, so that written data survive the end of this process
+        if path.is_symlink():  # replaced, as by the rename of other files: the file behind it may be another's
+            path.unlink()
+        self._file = io.FileIO(path, "w", opener=_opened)  # not buffered: written data survive the end of this process
         self.usable = True
         self.size = 0
         self.crc = 0  # CRC-32 of all bytes so far; the data section ends with it

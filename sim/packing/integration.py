@@ -74,7 +74,7 @@ def method_error(oscillation: Oscillation, step_s: float) -> MethodError:
     """
     w, zeta = 2.0 * math.pi * oscillation.frequency_hz, oscillation.damping_ratio
     z = complex(-zeta, math.sqrt(1.0 - zeta * zeta)) * w * step_s
-    s = cmath.log(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))) / step_s
+    s = cmath.log(_amplification(z)) / step_s
     return MethodError(oscillation, step_s, -s.real / abs(s) - zeta, abs(s) / w - 1.0)
 
 
@@ -89,6 +89,33 @@ def worst_error(scenario: Scenario) -> MethodError | None:
         found = [o for o in found if o.name.startswith((TVC_LOAD, SENSOR))]
     errors = [method_error(o, step_s) for o in found if o.damping_ratio < 1.0]
     return max(errors, key=lambda error: (abs(error.share), abs(error.added_damping_ratio)), default=None)
+
+
+def unstable(scenario: Scenario) -> Oscillation | None:
+    """Return an oscillation that grows without bound for the integrator alone, or None if there is none.
+
+    Steps are not longer than run.step_s and the sample period. With run.accuracy, they follow from the oscillations.
+    """
+    stages = scenario.vehicle.stage
+    samples_s = [c.sample_s for n in range(len(stages)) if (c := scenario.vehicle.computer_of(n))]
+    step_s = min(scenario.run.step_s, max(samples_s, default=math.inf))
+    if scenario.run.accuracy is not None:
+        return None
+    return next((o for o in oscillations(scenario) if _growth(o, step_s) > 1.0 + 1e-9), None)
+
+
+def _growth(o: Oscillation, step_s: float) -> float:
+    """Return the largest factor by which a step multiplies the amplitude of the two poles of an oscillation."""
+    root = cmath.sqrt(o.damping_ratio**2 - 1.0)
+    return max(
+        abs(_amplification(2.0 * math.pi * o.frequency_hz * step_s * (sign * root - o.damping_ratio)))
+        for sign in (1.0, -1.0)
+    )
+
+
+def _amplification(z: complex) -> complex:
+    """Return R(z)."""
+    return 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
 
 
 def step_ns(scenario: Scenario, stage: Stage) -> int:

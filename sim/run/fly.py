@@ -41,8 +41,10 @@ from maxq.sim.flight.parameters import (
 )
 from maxq.sim.flight.step import Arena
 from maxq.sim.flight.telemetry import FAST, SLOW, Logged, channel_table
+from maxq.sim.input.errors import ScenarioError
 from maxq.sim.input.values import to_ns
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
+from maxq.sim.packing.integration import unstable
 from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, GrowingRows, LoggedRows, copied
 from maxq.sim.run.metrics import (
     ATTITUDE_METRICS,
@@ -109,6 +111,8 @@ class FlightRun:
         held: CodeWindows | None = None,
     ) -> None:
         self.loaded = loaded
+        if packed is None:
+            refuse_unstable_steps(loaded)
         self.packed = packed or pack_flight(loaded.scenario)
         self.table = logged_channels(loaded.scenario, self.packed.sizes)
         stations = len(load_stations(loaded.scenario))
@@ -539,6 +543,16 @@ def _flown_design(scenario: Scenario) -> Design | None:
     """Return the design that the computer runs, or None without a computer or with external flight code."""
     computer = scenario.vehicle.computer
     return None if computer is None or computer.law == "external" else scenario.design
+
+
+def refuse_unstable_steps(loaded: LoadedScenario) -> None:
+    """Raise ScenarioError if the integrator is unstable for an oscillation of the vehicle."""
+    o = unstable(loaded.scenario)
+    if o is None:
+        return
+    problem = f"the integrator is unstable for {o.name} ({o.frequency_hz:.4g} Hz)"
+    allowed = f"at most about {2.8 / (2.0 * math.pi * o.frequency_hz):.2g} s, or run.accuracy"
+    raise ScenarioError(loaded.label, problem, "run.step_s", value=loaded.scenario.run.step_s, allowed=allowed)
 
 
 def _adapts(scenario: Scenario) -> bool:

@@ -6,15 +6,15 @@ The bounds are those of existing launch vehicles with a margin. Impossible value
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.scenario.schema_scenario import USUAL_STEP_S, Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.body.section import Reference
-from maxq.sim.vehicle.modes.tables import ORTHOGONALITY, ModeTable, SpatialModeTable, mode_warnings
+from maxq.sim.vehicle.modes.tables import ORTHOGONALITY, SpatialModeTable, mode_warnings
 from maxq.sim.vehicle.slosh.section import Tank
 
 Array = NDArray[np.float64]
@@ -33,41 +33,64 @@ _ROOT = 1.8412  # first zero of J1'
 
 def warnings(scenario: Scenario) -> tuple[str, ...]:
     """Return a line for each implausible value (key, value, usual values) and for each defect of a mode table."""
-    found: list[Implausible] = [*_run(scenario), *_surroundings(scenario)]
-    reference = scenario.vehicle.reference
-    for n, stage in enumerate(scenario.vehicle.stage):
-        of_stage = [*_stage(stage, reference), *_control(stage, reference, first=n == 0), *_liquids(stage)]
-        found += [(f"vehicle.stage.{n}.{key}", value, usual) for key, value, usual in of_stage]
-    found += _sampling(scenario)
-    if any(stage.aero is not None for stage in scenario.vehicle.stage):
-        tails = [tail for stage in scenario.vehicle.stage for tail in _tails(stage)]
-        unusual = _reference(reference, max(tails, default=0.0))
-        found += [(f"vehicle.reference.{key}", value, usual) for key, value, usual in unusual]
-    if scenario.held and scenario.holddown.release == "thrust":
-        found += _lift_off(scenario.vehicle.stage[0])
-    said = [f"{key} = {value:.6g} is implausible; usual: {usual}" for key, value, usual in found]
-    for n, stage in enumerate(scenario.vehicle.stage):
-        said += [
-            f"vehicle.stage.{n}.tank.{k}.radius_m is not given: breaking waves of this tank are not reported"
-            for k, tank in enumerate(stage.tank)
-            if tank.radius_m is None and scenario.switches.slosh
-        ]
-        for key, table in stage.mode_tables():
-            said += [f"vehicle.stage.{n}.{key}: {warning}" for warning in _of_modes(stage, table)]
+    said = list[str]()
+    for about, check in _checks(scenario):
+        try:
+            said += check
+        except Exception as error:  # a check that only warns must not end a flight
+            said.append(f"{about}: not all values could be checked ({type(error).__name__}: {error})")
     return tuple(said)
 
 
-def _of_modes(stage: Stage, table: ModeTable | SpatialModeTable) -> list[str]:
-    if not isinstance(table, SpatialModeTable):
-        return mode_warnings(table)
+def _checks(scenario: Scenario) -> Iterator[tuple[str, Iterator[str]]]:
+    """Yield each check as the section that it reads, and an iterator that makes the check and yields its warnings."""
+
+    def lines(section: str, found: Iterator[Implausible]) -> tuple[str, Iterator[str]]:
+        said = (f"{section}.{key} = {value:.6g} is implausible; usual: {usual}" for key, value, usual in found)
+        return section, said
+
+    reference, stages = scenario.vehicle.reference, scenario.vehicle.stage
+    yield lines("run", _run(scenario))
+    yield lines("log", _log(scenario))
+    yield lines("site", _site(scenario))
+    yield lines("wind", _wind(scenario))
+    for n, stage in enumerate(stages):
+        yield lines(f"vehicle.stage.{n}", _stage(stage, reference))
+        yield lines(f"vehicle.stage.{n}", _control(stage, reference, first=n == 0))
+        yield lines(f"vehicle.stage.{n}", _liquids(stage))
+    yield lines("vehicle.computer", _sampling(scenario))
+    if any(stage.aero is not None for stage in stages):
+        yield lines("vehicle.reference", _reference(reference, stages))
+    if scenario.held and scenario.holddown.release == "thrust":
+        yield lines("vehicle.stage.0", _lift_off(stages[0]))
+    for n, stage in enumerate(stages):
+        section = f"vehicle.stage.{n}"
+        if scenario.switches.slosh:
+            yield section, _unreported_waves(section, stage)
+        yield section, _of_modes(section, stage)
+
+
+def _unreported_waves(section: str, stage: Stage) -> Iterator[str]:
+    for k, tank in enumerate(stage.tank):
+        if tank.radius_m is None:
+            yield f"{section}.tank.{k}.radius_m is not given: breaking waves of this tank are not reported"
+
+
+def _of_modes(section: str, stage: Stage) -> Iterator[str]:
     from maxq.sim.vehicle.modes.masses import misfit  # noqa: PLC0415  # lazy: it imports the compiler
 
-    found = misfit(table, stage.engine_masses, (1.0 + ORTHOGONALITY, ORTHOGONALITY))
-    return mode_warnings(table) + ([found] if found else [])
+    for key, table in stage.mode_tables():
+        found = mode_warnings(table)
+        if isinstance(table, SpatialModeTable) and (
+            unlike := misfit(table, stage.engine_masses, (1.0 + ORTHOGONALITY, ORTHOGONALITY))
+        ):
+            found = [*found, unlike]
+        yield from (f"{section}.{key}: {warning}" for warning in found)
 
 
-def _reference(reference: Reference, tail_m: float) -> Iterator[Implausible]:
-    """Yield implausible reference quantities. `tail_m` is the rearmost station in the files, 0 if there is none."""
+def _reference(reference: Reference, stages: Iterable[Stage]) -> Iterator[Implausible]:
+    """Yield implausible reference quantities, by comparison with the rearmost station in the files, if there is one."""
+    tail_m = max((tail for stage in stages for tail in _tails(stage)), default=0.0)
     length, diameter, area = reference.length_m, reference.diameter_m, reference.area_m2
     if tail_m > 0.0 and not 0.9 * tail_m <= length <= 2.0 * tail_m:
         yield "length_m", length, f"the rearmost station, {tail_m:g} m, or a little more"
@@ -108,7 +131,12 @@ def _stage(stage: Stage, reference: Reference) -> Iterator[Implausible]:
             yield key, thrust, f"less than 100 g on {float(kg.min()):g} kg"
     if stage.aero is None:
         return  # the reference lengths are not used and may have any value
-    volume = 0.25 * math.pi * reference.diameter_m**2 * length
+    across_m2 = 0.25 * math.pi * reference.diameter_m**2
+    for n, engine in enumerate(stage.engines):
+        if engine.exit_area_m2 > 1.5 * across_m2:
+            key = ".".join(map(str, (*stage.engine_key(n), "exit_area_m2")))
+            yield key, engine.exit_area_m2, f"at most the cross section of the body, {across_m2:.3g} m2"
+    volume = across_m2 * length
     heaviest = float(kg.max())
     if not 1.0 <= heaviest / volume <= 2e4:
         yield f"{where}mass_kg", heaviest, f"1 to 20,000 kg/m3 of a body of {reference.diameter_m:g} m by {length:g} m"
@@ -256,7 +284,7 @@ def _sampling(scenario: Scenario) -> Iterator[Implausible]:
             if lowest > 0.5 / computer.sample_s:
                 name = f"of {stage.name}" if stage.name else "here"
                 usual = f"below {0.5 / lowest:.3g} s: the first mode {name} reaches {lowest:.3g} Hz and aliases"
-                yield "vehicle.computer.sample_s", computer.sample_s, usual
+                yield "sample_s", computer.sample_s, usual
                 return
 
 
@@ -265,22 +293,33 @@ def _lift_off(stage: Stage) -> Iterator[Implausible]:
     thrust = sum(engine.thrust_factor * float(engine.table["thrust_vacuum_N"].max()) for engine in stage.engines)
     kg = stage.mass.mass_kg if stage.mass.table is None else float(stage.mass.table["mass_kg"].min())
     if stage.engines and thrust < _G * (kg or 0.0):
-        usual = f"more than the weight of {_G * (kg or 0.0):.4g} N, or it is never released"
-        yield "vehicle.stage.0.engine", thrust, usual
+        yield "engine", thrust, f"more than the weight of {_G * (kg or 0.0):.4g} N, or it is never released"
 
 
 def _run(scenario: Scenario) -> Iterator[Implausible]:
-    run, fastest = scenario.run, scenario.log.fast_hz
+    run = scenario.run
     if run.duration_s / run.step_s > _LONG_RUN:
-        yield "run.step_s", run.step_s, f"fewer than {_LONG_RUN:g} steps in duration_s = {run.duration_s:g} s"
-    if run.duration_s * fastest > _LONG_RUN:
-        yield "log.fast_hz", fastest, f"fewer than {_LONG_RUN:g} rows in duration_s = {run.duration_s:g} s"
+        yield "step_s", run.step_s, f"fewer than {_LONG_RUN:g} steps in duration_s = {run.duration_s:g} s"
 
 
-def _surroundings(scenario: Scenario) -> Iterator[Implausible]:
-    site, wind = scenario.site, scenario.wind
-    if scenario.initial is None and not -500.0 <= site.altitude_m <= 9000.0:
-        yield "site.altitude_m", site.altitude_m, "a place on the ground, -500 .. 9000 m"
+def _log(scenario: Scenario) -> Iterator[Implausible]:
+    duration_s, step_s = scenario.run.duration_s, min(scenario.run.step_s, USUAL_STEP_S)
+    for key in ("fast_hz", "slow_hz"):
+        rate_hz = getattr(scenario.log, key)
+        if duration_s * rate_hz > _LONG_RUN:
+            yield key, rate_hz, f"fewer than {_LONG_RUN:g} rows in duration_s = {duration_s:g} s"
+        elif rate_hz * step_s > 1.0:
+            yield key, rate_hz, f"at most {1.0 / step_s:g} Hz, a row for each step"
+
+
+def _site(scenario: Scenario) -> Iterator[Implausible]:
+    altitude_m = scenario.site.altitude_m
+    if scenario.initial is None and not -500.0 <= altitude_m <= 9000.0:
+        yield "altitude_m", altitude_m, "a place on the ground, -500 .. 9000 m"
+
+
+def _wind(scenario: Scenario) -> Iterator[Implausible]:
+    wind = scenario.wind
     speeds = np.array([wind.speed_mps or 0.0])
     if wind.profile is not None:
         low = wind.profile["altitude_m"] <= _WEATHER_M
@@ -288,5 +327,5 @@ def _surroundings(scenario: Scenario) -> Iterator[Implausible]:
         speeds = np.concatenate([np.hypot(np.abs(parts[0]), np.hypot(parts[1], parts[2])), [0.0]])
     fastest = abs(wind.factor) * float(speeds.max())
     if fastest > _WEATHER_MPS:
-        key = "wind.profile" if wind.profile is not None else "wind.speed_mps"
+        key = "profile" if wind.profile is not None else "speed_mps"
         yield key, fastest, f"less than {_WEATHER_MPS:g} m/s below {_WEATHER_M:g} m"

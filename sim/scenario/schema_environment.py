@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from maxq.control.kernel.limits import MAX_GUSTS
 from maxq.sim.input.errors import refuse
@@ -32,6 +33,15 @@ TURBULENCE_COLUMNS = Columns(
 SPECTRUM_COLUMNS = Columns("wave_number_pm", sets=(("density_m3ps2",),), positive=("wave_number_pm", "density_m3ps2"))
 
 
+def _date_and_time(text: str) -> str:
+    try:
+        if text:
+            datetime.fromisoformat(text)
+    except ValueError:
+        raise refuse("is not a date and time", "ISO 8601, as 2026-01-31T12:00:00Z") from None
+    return text
+
+
 class Site(Section):
     """The launch site."""
 
@@ -39,7 +49,9 @@ class Site(Section):
     longitude_deg: Longitude = optional("longitude, deg, east positive", 0.0)
     altitude_m: float = optional("height above the ellipsoid, m", 0.0)
     azimuth_deg: Angle = optional("launch azimuth, deg from north through east; direction of body z on the pad", 90.0)
-    utc: str = optional("date and time of T0, for information only", "")
+    utc: Annotated[str, AfterValidator(_date_and_time)] = optional(
+        "date and time of T0, as 2026-01-31T12:00:00Z, for information only", ""
+    )
 
 
 class EarthSection(Section):

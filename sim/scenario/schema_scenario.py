@@ -385,6 +385,17 @@ class Scenario(Section):
                 raise refuse("the vehicle has no engine", "body_force, body_torque", key)
             if injection.at == "rate_command" and computer is None:
                 raise refuse("the vehicle has no [computer]", "body_force, body_torque", key)
+            if injection.at.endswith("_command") and computer is not None:
+                self._check_aliases(n, injection)
+
+    def _check_aliases(self, n: int, injection: Injection) -> None:
+        """Reject a signal at a command that the samples of no stage's computer can follow."""
+        samples_s = [c.sample_s for k in range(len(self.vehicle.stage)) if (c := self.vehicle.computer_of(k))]
+        most_hz = 0.5 / min(samples_s)
+        if max(injection.highest_hz) > most_hz:
+            key = next(k for k in FREQUENCIES[injection.kind] if np.max(getattr(injection, k)) > most_hz)
+            allowed = f"at most {most_hz:g} Hz, half of the sample rate"
+            raise refuse("would alias", allowed, ("injection", n, key))
 
     def _check_burns(self) -> None:
         """Check the targets of the burns of the last engine, and that vehicle and Earth allow them."""

@@ -163,7 +163,11 @@ def as_csv(plot: Plot) -> str:
     Column y2 is the second edge of a band or, for bars, the number of values that miss the limit.
     """
     out = io.StringIO()
-    write = csv.writer(out).writerow
+    rows = csv.writer(out)
+
+    def write(cells: Iterable[Any]) -> None:
+        rows.writerow([_no_formula(cell) for cell in cells])
+
     write(("panel", "series", "x", "y", "y2", "run"))
     for panel in plot.panels:
         for s in panel.series:
@@ -178,6 +182,11 @@ def as_csv(plot: Plot) -> str:
         for row in zip(*(_plain(s[key]) for key in ("x", "y", "y2")), strict=True):
             write((s["name"], "L: x Hz, y dB, y2 deg", *row, ""))
     return out.getvalue()
+
+
+def _no_formula(cell: Any) -> Any:
+    """Return the cell; a text that a spreadsheet would take for a formula gets an apostrophe in front."""
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
 
 
 def _cells(values: Any, count: int) -> list[Any]:

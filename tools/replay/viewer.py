@@ -27,6 +27,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from maxq.control.kernel.machine import own_cache
 from maxq.tools.cli.frame import CommandError
 
 if TYPE_CHECKING:
@@ -93,18 +94,12 @@ def environment() -> dict[str, str]:
 
 
 def _own_config() -> Path:
-    """Return the viewer's configuration folder. It is in the cache folder of maxq or, if this is not possible,
-    temporary.
-
-    The cache folder is also that of `control/kernel/jit.py`, a module that takes a quarter of a second to load.
-    """
-    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    folder = Path(os.environ.get("MAXQ_CACHE") or os.path.join(user, "maxq")) / "viewer"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        folder = Path(tempfile.mkdtemp(prefix="maxq-viewer-"))
-    return folder
+    """Return the viewer's configuration folder in the cache folder of maxq, or else a temporary one."""
+    with contextlib.suppress(OSError):  # also for a folder that others may write to
+        folder = own_cache("viewer")
+        if os.access(folder, os.W_OK):
+            return folder
+    return Path(tempfile.mkdtemp(prefix="maxq-viewer-"))
 
 
 def port_is_free(port: int) -> bool:

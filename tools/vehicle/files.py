@@ -22,6 +22,7 @@ from maxq.sim.files import write_whole
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.input.values import Section
+from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.actuator.section import SECTIONS
 from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
 from maxq.tools.vehicle.aerodynamics import aerodynamics
@@ -46,7 +47,11 @@ Tables = dict[str, CsvFile]  # by file name
 
 
 def write(built: Built, folder: Path) -> list[Path]:
-    """Write all files of a built vehicle into a folder, and return their paths."""
+    """Write all files of a built vehicle into a folder, and return their paths.
+
+    Raises ValueError, without leaving a file, if the vehicle cannot be loaded: a value of the layout that no check of
+    the layout rejects, but one of the vehicle.
+    """
     layout, files = built.layout, []
     tables: Tables = {"pitch_programme.csv": _programme(built)}
     vehicle = _vehicle(built, tables)
@@ -67,6 +72,12 @@ def write(built: Built, folder: Path) -> list[Path]:
         files.append(write_whole(folder / name, made + tomli_w.dumps(content)))
     if built.design is not None:
         write_whole(folder / "design.toml", made + design_text(built.design, ()))
+    try:
+        load_scenario(folder / "scenario.toml")
+    except ScenarioError as error:
+        for file in files:
+            file.unlink()
+        raise ValueError(f"the vehicle made from it is not valid: {error}") from None
     return files
 
 
