@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from maxq.control.kernel.records import Array, IntArray, Records, blank
+from maxq.control.kernel.records import Array, IntArray, Records, blank, duplicate
 from maxq.control.kernel.tables import table_in
 from maxq.design.model import jacobian
 from maxq.design.model.instruments import DERIVATIVES, Plane, of_drive, sensed
@@ -100,8 +100,7 @@ class HeldStage:
 
     def copied(self) -> HeldStage:
         """Return a copy with its own arrays."""
-        # `repeat` copies whole records, whereas `copy` copies field by field and takes six times as long
-        return dataclasses.replace(self, parameters=np.repeat(self.parameters, 1), properties=self.properties.copy())
+        return dataclasses.replace(self, parameters=duplicate(self.parameters), properties=self.properties.copy())
 
     @property
     def rings(self) -> Array:

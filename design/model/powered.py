@@ -7,10 +7,11 @@ import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
+from maxq.control.kernel.records import duplicate
 from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, TUMBLE
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.flight import Event, LoggedRows
@@ -54,7 +55,7 @@ class _Ascent:
     faults: bool
     flown: Scenario
     packed: Packed
-    reached: dict[int, list[NDArray[Any]]] = field(default_factory=dict)  # copies of `_Resumed._carried` by time, ns
+    reached: dict[int, list[NDArray[np.uint8]]] = field(default_factory=dict)  # `_Resumed._carried` by time, ns
     answer: tuple[tuple[Span, ...], Event | None] | None = None  # of `powered_flight`
 
 
@@ -82,15 +83,15 @@ class _Resumed(FlightRun):
 
     def __init__(self, ascent: _Ascent) -> None:
         packed = ascent.packed
-        own = dataclasses.replace(packed, memory=packed.memory.copy(), state=packed.state.copy())
+        own = dataclasses.replace(packed, memory=duplicate(packed.memory), state=packed.state.copy())
         super().__init__(dataclasses.replace(ascent.scenario, scenario=ascent.flown), own, log=False)
         self._reached = ascent.reached
 
     @property
-    def _carried(self) -> list[NDArray[Any]]:
-        """Return all that a step of fixed length takes over from the step before."""
+    def _carried(self) -> list[NDArray[np.uint8]]:
+        """Return the bytes of all that a step of fixed length takes over from the step before."""
         of_arena = (self._arena[name] for name in ("start_properties", "start_aux", "work"))
-        return [self.packed.memory, self.packed.state, *of_arena]
+        return [each.view(np.uint8) for each in (self.packed.memory, self.packed.state, *of_arena)]
 
     def fly_segment(self, length_ns: int | None = None) -> LoggedRows:
         now_ns, length_ns = int(self.memory.clock.now_ns), length_ns or self.segment_ns
