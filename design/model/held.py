@@ -79,7 +79,7 @@ class HeldStage:
     properties: Array
     swing_rad: Array
 
-    @property
+    @cached_property
     def sizes(self) -> Any:
         return self.parameters[0].vehicle.sizes
 

@@ -303,11 +303,11 @@ def instants_between(
     out: list[float] = []
     if order.times_s or "every_s" in order.given:
         return out
-    from maxq.design.optimise.over_time import instants_beside  # noqa: PLC0415  # lazy, without points of the order only
-
     for span in powered_flight(scenario)[0]:
         mine = [t for t in points_s if span.holds(t)]
         if mine and bases.get(span.stage, Basis()).between_nodes == "hold":
+            from maxq.design.optimise.over_time import instants_beside  # noqa: PLC0415  # lazy: few designs need it
+
             out += instants_beside(mine)
     return out
 
