@@ -382,7 +382,7 @@ def hold_stage(packed: Packed, clock_s: float, stage: int = 0) -> HeldStage:
 
     Instruments are ideal, and wind, turbulence and failures are absent.
     """
-    rows = packed.parameters[stage : stage + 1].copy()
+    rows = duplicate(packed.parameters[stage : stage + 1])
     row, sizes = rows[0], packed.parameters[stage].vehicle.sizes
     properties = np.zeros((1, PROPERTIES_SIZE))
     columns = table_in(packed.pool, row.vehicle.schedule)(clock_s)
