@@ -17,7 +17,6 @@ from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.flight import Event, LoggedRows
 from maxq.sim.run.fly import CONTROL_LOST_NAME, CUTOFF_NAME, DIVERGED_NAME, IGNITION_NAME, FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
-from maxq.sim.scenario.schema_scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ class _Ascent:
 
     scenario: LoadedScenario
     faults: bool
-    flown: Scenario
+    flown: LoadedScenario
     packed: Packed
     reached: dict[int, list[NDArray[np.uint8]]] = field(default_factory=dict)  # `_Resumed._carried` by time, ns
     answer: tuple[tuple[Span, ...], Event | None] | None = None  # of `powered_flight`
@@ -69,10 +68,16 @@ def _ascent(scenario: LoadedScenario, faults: bool) -> _Ascent:
     for known in tuple(_LATEST):
         if known.scenario is scenario and known.faults == faults:
             return known
+    flown = _on_grid(scenario, faults)
+    found = _Ascent(scenario, faults, flown, pack_flight(flown.scenario))
+    _LATEST.append(found)
+    return found
+
+
+def _on_grid(scenario: LoadedScenario, faults: bool) -> LoadedScenario:
     run = scenario.scenario.run.model_copy(update={"accuracy": None})
     flown = scenario.scenario.model_copy(update={"run": run} | ({} if faults else {"fault": ()}))
-    _LATEST.append(_Ascent(scenario, faults, flown, pack_flight(flown)))
-    return _LATEST[-1]
+    return dataclasses.replace(scenario, scenario=flown)
 
 
 class _Resumed(FlightRun):
@@ -84,7 +89,7 @@ class _Resumed(FlightRun):
     def __init__(self, ascent: _Ascent) -> None:
         packed = ascent.packed
         own = dataclasses.replace(packed, memory=duplicate(packed.memory), state=packed.state.copy())
-        super().__init__(dataclasses.replace(ascent.scenario, scenario=ascent.flown), own, log=False)
+        super().__init__(ascent.flown, own, log=False)
         self._reached = ascent.reached
 
     @property
@@ -169,10 +174,10 @@ def flown_run(scenario: LoadedScenario, faults: bool, log: bool = False) -> Flig
     The grid is that of run.step_s, which contains the operating points. `faults` of False removes the failures. Flights
     of one scenario without a log compute each part of the flight once.
     """
-    ascent = _ascent(scenario, faults)
-    if log or int(ascent.packed.parameters[0].computer.external):
-        return FlightRun(dataclasses.replace(scenario, scenario=ascent.flown), pack_flight(ascent.flown), log=log)
-    return _Resumed(ascent)
+    computer = scenario.vehicle.computer
+    if log or (computer is not None and computer.law == "external"):
+        return FlightRun(_on_grid(scenario, faults), log=log)
+    return _Resumed(_ascent(scenario, faults))
 
 
 def flown_to(run: FlightRun, time_s: float) -> int:
