@@ -124,7 +124,7 @@ def test_any_budget_closes_whatever_the_order(series, stages, f, random):
 
     def budget(parts, steps):
         named = [(f"part {k}", part) for k, part in enumerate(parts)]
-        return split(whole, f, named, [(f"stage {k}", step) for k, step in enumerate(steps)])
+        return split(whole, [f], named, [(f"stage {k}", step) for k, step in enumerate(steps)])[0]
 
     first = budget(series, stages)
     mixed = stages[:-1]
@@ -141,10 +141,10 @@ def test_any_budget_closes_whatever_the_order(series, stages, f, random):
 
 
 def test_the_phase_of_a_long_delay_is_unwrapped():
-    (share,) = split(lag(1e6, 1.0, 0.7), 3.0, [("delay", lag(1e6, 1.0, 0.7))]).shares
+    (share,) = split(lag(1e6, 1.0, 0.7), [3.0], [("delay", lag(1e6, 1.0, 0.7))])[0].shares
     assert share.phase_deg == pytest.approx(-360.0 * 3.0 * 0.7, abs=0.01)
 
 
 def test_a_part_that_is_zero_is_refused():
     with pytest.raises(ValueError, match=r"budget at 1 Hz: notch is 0j there"):
-        split(lag(1.0, 1.0, 0.0), 1.0, [("notch", lambda f: np.zeros(f.shape, complex))])
+        split(lag(1.0, 1.0, 0.0), [1.0], [("notch", lambda f: np.zeros(f.shape, complex))])

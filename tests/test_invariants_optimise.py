@@ -42,7 +42,8 @@ from maxq.design.optimise.robust import deviated, modes_off, ranges_of
 from maxq.design.optimise.solution import Certificate
 from maxq.design.optimise.solve import nominal_plants, solve
 from maxq.design.optimise.sqp import optimality
-from maxq.design.verify.judging import judge, judge_solution, make_design
+from maxq.design.verify.judging import judge
+from maxq.design.verify.outcome import judge_solution, make_design
 
 NODES = "nodes_s=[5.0, 30.0, 55.0]"
 

@@ -33,7 +33,7 @@ def test_response_of_a_delay_of_any_number_of_samples(samples: float) -> None:
     whole, rest_s = int(samples), (samples - int(samples)) * PERIOD_S
     pairs, singles, direct = packed._terms(poles, residues, PERIOD_S, rest_s)
     none = np.zeros(0, complex)
-    path = LoopResponse(PERIOD_S, pairs, singles, direct, none, none, 1.0 / PERIOD_S, whole + 1, 0, 0)
+    path = LoopResponse(PERIOD_S, pairs, singles, direct, none, none, 1.0 / PERIOD_S, whole + 1, 0, 0, 1)
     hz = np.array([0.01, 0.4, 3.0, 8.99, 17.0, 24.9])
     found, wanted = packed._values(hz, path), summed(hz, poles, residues, samples * PERIOD_S)
     assert np.abs(found / wanted - 1.0).max() < 1e-9

@@ -40,7 +40,7 @@ from maxq.design.laws.wind import DRIFT, LOAD, MOMENTS, Spectrum
 from maxq.design.model.instruments import actuator_response, lag
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.solve import solve
-from maxq.design.verify.judging import with_law
+from maxq.design.verify.outcome import with_law
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.packing.initial import rotation
 from maxq.sim.run.evaluate import evaluate_at

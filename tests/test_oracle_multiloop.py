@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable
 from functools import cache
 from types import SimpleNamespace
@@ -15,8 +16,11 @@ from flightkit import Parts, rig, scenario_of
 from maxq import margins, multiloop_margins
 from maxq.control.kernel.records import Array
 from maxq.design.loop.multiloop import Multiloop, OneLoop, multiloop
+from maxq.design.loop.sampling import sample
+from maxq.design.margins import measure, packed
+from maxq.design.margins import multiloop as multi
 from maxq.design.margins.multiloop import structured_singular_value
-from maxq.design.model.state_space import StateSpace
+from maxq.design.model.state_space import StateSpace, channels
 
 LOWEST_HZ = 1e-3  # slower roots are drift
 
@@ -109,6 +113,39 @@ def test_one_loop_with_the_others_closed_is_the_determinants_ratio() -> None:
         others = np.delete(np.delete(whole + eye, k, 1), k, 2)
         expected = np.linalg.det(whole + eye) / np.linalg.det(others) - 1.0
         np.testing.assert_allclose(spinning().one(axis).response(FREQUENCIES_HZ), expected, rtol=5e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+def test_compiled_response_is_that_of_resolvents_and_laws(axes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The reference computes z - p, and loses digits near slow poles and the undamped one of the spin.
+
+    Margins are those of the reference, which compiled code calls back.
+    """
+    whole = spinning()
+    if axes == 2:
+        laws, names = whole.laws[:2], whole.axes[:2]
+        assert whole.plant is not None
+        plant = channels(whole.plant, whole.plant.outputs[:2], whole.plant.inputs[:2])
+        path = sample(plant, whole.path.sample_s, DELAY_S)
+        whole = dataclasses.replace(whole, axes=names, laws=laws, plant=plant, path=path)
+    hz = np.geomspace(LOWEST_HZ, 49.9, 2000)
+    for axis in whole.axes:
+        numbers = packed.packed(whole.one(axis))
+        assert numbers is not None
+        assert numbers.axes == axes
+        known = whole.one(axis).response(hz)
+        assert (np.abs(packed._values(hz, numbers) / known - 1.0) < 1e-9).all()
+    every, known = packed.matrix_response(whole)(hz), whole.response(hz)
+    assert (np.abs(every - known).max(axis=(1, 2)) < 1e-9 * np.abs(known).max(axis=(1, 2))).all()
+    found = multiloop_margins(whole)
+    monkeypatch.setattr(measure, "packed", lambda loop: None)
+    monkeypatch.setattr(multi, "matrix_response", lambda loop: loop.response)
+    wanted = multiloop_margins(whole)
+    assert found.disk.size == pytest.approx(wanted.disk.size, rel=1e-9)
+    for mine, other in zip(found.each, wanted.each, strict=True):
+        for name in ("gain_up_db", "gain_down_db", "phase_deg"):
+            assert getattr(mine, name).value == pytest.approx(getattr(other, name).value, rel=1e-9, abs=1e-9)
+        assert mine.disks.symmetric.size == pytest.approx(other.disks.symmetric.size, rel=1e-9)
 
 
 def test_gain_margins_of_each_axis_are_where_the_closed_loop_loses_stability() -> None:

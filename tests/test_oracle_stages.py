@@ -24,7 +24,7 @@ from maxq.design.model.node import at_same_propellant_s, node_of, nodes_along
 from maxq.design.model.node_times import node_times
 from maxq.design.model.powered import Span, flown_run, flown_to, powered_spans, spans_of
 from maxq.design.optimise.solve import each_stage, solve
-from maxq.design.verify.judging import judge_solution, make_design
+from maxq.design.verify.outcome import judge_solution, make_design
 from maxq.design.verify.suite import read_suite
 from maxq.sim.packing.flight import Packed
 from maxq.sim.run.flight import Event

@@ -33,7 +33,8 @@ from maxq.design.laws.design_file import design_text
 from maxq.design.optimise.over_time import instants_beside
 from maxq.design.optimise.solve import solve
 from maxq.design.verify.compared import against_basis
-from maxq.design.verify.judging import Wanted, checks, judge, judge_solution, stage_checks
+from maxq.design.verify.judging import Wanted, checks, judge, stage_checks
+from maxq.design.verify.outcome import judge_solution
 from maxq.design.verify.suite import read_suite
 from maxq.sim.input.files import builtin_files
 from maxq.sim.scenario.loader import load_scenario

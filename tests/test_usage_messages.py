@@ -8,7 +8,7 @@ import pytest
 
 import maxq
 from maxq import CampaignError, FlightRun, LoadedScenario, ScenarioError, record
-from maxq.design.verify.judging import described
+from maxq.design.verify.outcome import described
 from maxq.sim.campaign.store import open_store
 from maxq.sim.input.files import builtin_files
 from maxq.sim.scenario.loader import copy_scenario, load_scenario

@@ -16,7 +16,7 @@ from maxq.design.laws.bending_filter import FilterVariables, lifted
 from maxq.design.optimise import search as search_module
 from maxq.design.optimise.plants import make_plant, make_plants
 from maxq.design.optimise.solve import nominal_plants, solve
-from maxq.design.verify.judging import make_design
+from maxq.design.verify.outcome import make_design
 from maxq.sim.scenario.loader import to_toml
 
 

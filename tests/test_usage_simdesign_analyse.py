@@ -235,6 +235,18 @@ def test_what_needs_no_kernel_loads_none(option: str) -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_an_analysis_loads_no_optimiser_campaign_or_plots() -> None:
+    code = (
+        "import sys; from maxq.tools import simdesign\n"
+        "simdesign.main(['analyse', 'ksr3-default', '--at', '40', '--no-pictures'])\n"
+        "names = 'maxq.design.optimise', 'maxq.sim.campaign.read', 'scipy.optimize', 'matplotlib', 'pyarrow', 'rich'\n"
+        "sys.exit(str([name for name in names if name in sys.modules]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, text=True)
+    assert done.stderr == "[]\n"
+    assert "gain margin, yaw, other axes closed" in done.stdout
+
+
 def test_the_list_names_designs(capsys: Printed) -> None:
     assert run("--list") == 0
     lines = capsys.readouterr().out.splitlines()

@@ -19,11 +19,15 @@ import numpy as np
 from numba import types
 from numba.core.compiler import CompilerBase
 from numba.extending import intrinsic, overload
+from numba.np import numpy_support
 from numpy.typing import NDArray
 
 from maxq.control.kernel.compilers import BesideCompiler, DisjointCompiler, EntryCompiler, KernelCompiler, RareCompiler
 from maxq.control.kernel.kept_code import EntryCache
 from maxq.control.kernel.records import constants_in
+
+# Every first call of an entry derives the type of each record again, a tenth of a second in all.
+numpy_support.from_struct_dtype = functools.lru_cache(maxsize=64)(numpy_support.from_struct_dtype)
 
 Function = TypeVar("Function", bound=Callable[..., object])
 Array = TypeVar("Array", NDArray[np.float64], NDArray[np.int64])

@@ -106,6 +106,11 @@ def blank(schema: type) -> NDArray[Any]:
     return np.zeros(1, dtype_of(schema))
 
 
+def duplicate(rows: NDArray[Any]) -> NDArray[Any]:
+    """Return a copy of a contiguous array of records. NumPy's `copy` treats each field alone, which takes longer."""
+    return rows.view(np.uint8).copy().view(rows.dtype)
+
+
 def with_constants(rows: NDArray[Any], *path: str) -> NDArray[Any]:
     """Return `rows` as a view whose type contains the integers of the nested record at `path`.
 

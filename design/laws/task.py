@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.basis import MarginLimits, limit_of
-from maxq.design.case.schema import Case
 from maxq.design.laws.wind import Winds
 from maxq.sim.input.values import at_time
+
+if TYPE_CHECKING:
+    from maxq.design.case.schema import Case
 
 DB = 20.0 / math.log(10.0)  # dB of a change of a natural logarithm
 

@@ -70,7 +70,7 @@ class Multiloop:
         f = np.asarray(frequencies_hz, float)
         z = np.exp(2j * np.pi * self.path.sample_s * f)
         way, n = self.path.at(z, self._resolvent), len(self.axes)
-        out = np.asarray(self._controllers(f, z)[..., None] * way[..., :n, :])
+        out = np.asarray(self.controllers(f)[..., None] * way[..., :n, :])
         for k, (name, late) in enumerate(self.sensed):
             for axis, law in enumerate(self.laws[:2]):
                 if name in law.inputs:
@@ -78,8 +78,9 @@ class Multiloop:
                     out[..., axis, :] += gain[..., None] * way[..., n + 2 * k + axis, :]
         return out
 
-    def _controllers(self, f: Array, z: ComplexArray) -> ComplexArray:
-        """Return the response from the mean rate of each axis to its command, (..., axes)."""
+    def controllers(self, f: Array) -> ComplexArray:
+        """Return the response from the mean rate of each axis to its command at frequencies in Hz, (..., axes)."""
+        z = np.exp(2j * np.pi * self.path.sample_s * f)
         summed = self.path.sample_s * z / (z - 1.0)
         ratio = dict(zip(MEASUREMENTS, (summed, np.ones_like(z), summed**2), strict=True))
         none = np.zeros_like(z)  # further measurements are not functions of the rate and are added separately

@@ -83,12 +83,14 @@ def vehicle_poles(plant: StateSpace) -> list[NamedPole]:
     out = []
     swinging = [i for i in range(len(poles)) if poles[i].imag > 0.0]
     if swinging:
-        pairs, found = scipy.optimize.linear_sum_assignment(per_owner[swinging], maximize=True)
-        for pair, owner in zip(pairs, found, strict=True):
+        found = list(enumerate(per_owner[swinging].argmax(axis=1).tolist()))
+        if len({owner for _, owner in found}) < len(found):  # two poles share their largest participation
+            found = list(zip(*map(list, scipy.optimize.linear_sum_assignment(-per_owner[swinging])), strict=True))
+        for pair, owner in found:
             pole = complex(poles[swinging[pair]])
             residue = np.outer(plant.c @ vectors[:, swinging[pair]], left[swinging[pair]] @ plant.b)
-            out.append(NamedPole(pole, *owners[owner], residue))
-            out.append(NamedPole(pole.conjugate(), *owners[owner], residue.conj()))
+            out.append(NamedPole(pole, *owners[int(owner)], residue))
+            out.append(NamedPole(pole.conjugate(), *owners[int(owner)], residue.conj()))
     for i in np.flatnonzero(poles.imag == 0.0):
         out.append(NamedPole(complex(poles[i]), *owners[int(np.argmax(per_owner[i]))]))
     return out

@@ -72,38 +72,45 @@ class Budget:
 
 def split(
     whole: Response,
-    frequency_hz: float,
+    frequencies_hz: Sequence[float],
     series: Sequence[tuple[str, Response]],
     steps: Sequence[tuple[str, Response]] = (),
-) -> Budget:
-    """Return the budget of `whole`, the product of `series` and of the last response of `steps`.
+) -> tuple[Budget, ...]:
+    """Return the budgets of `whole`, the product of `series` and of the last response of `steps`, at each frequency.
 
     Each step is the response with its part and all earlier parts present. Raises ValueError if a part is zero or not
-    finite at the frequency.
+    finite at a frequency.
     """
-    path = frequency_hz * 10.0 ** np.linspace(-_DECADES, 0.0, _PATH)
-    here = path[-1:]
-    shares = []
+    here = np.array(frequencies_hz, float)
+    if not len(here):
+        return ()
+    path = here[:, None] * 10.0 ** np.linspace(-_DECADES, 0.0, _PATH)
+    shares: list[list[Share]] = [[] for _ in here]
     for part, response in series:
-        values = _checked(part, response(path), frequency_hz)
-        phase = np.unwrap(np.angle(values))
-        shares.append(Share(part, _db(values[-1]), float(np.degrees(phase[-1]))))
-    before = 1.0 + 0j
+        values = np.asarray(response(path), np.complex128)
+        turned = np.degrees(np.unwrap(np.angle(values))[:, -1])
+        for k, value in enumerate(_checked(part, values[:, -1], here)):
+            shares[k].append(Share(part, _db(value), float(turned[k])))
+    before = np.ones(len(here), np.complex128)
     for part, response in steps:
-        with_it = complex(_checked(part, response(here), frequency_hz)[-1])
-        shares.append(Share(part, _db(with_it / before), float(np.degrees(np.angle(with_it / before)))))
+        with_it = _checked(part, response(here), here)
+        for k, value in enumerate((with_it / before).tolist()):
+            shares[k].append(Share(part, _db(value), float(np.degrees(np.angle(value)))))
         before = with_it
-    value = complex(_checked("the whole", whole(here), frequency_hz)[-1])
-    found = Budget(float(frequency_hz), tuple(shares), 0.0, 0.0)
-    left_deg = wrapped(float(np.degrees(np.angle(value))) - found.phase_deg, 180.0)
-    return Budget(found.frequency_hz, found.shares, _db(value) - found.gain_db, left_deg)
+    out = []
+    for hz, mine, value in zip(here.tolist(), shares, _checked("the whole", whole(here), here).tolist(), strict=True):
+        found = Budget(hz, tuple(mine), 0.0, 0.0)
+        left_deg = wrapped(float(np.degrees(np.angle(value))) - found.phase_deg, 180.0)
+        out.append(Budget(hz, found.shares, _db(value) - found.gain_db, left_deg))
+    return tuple(out)
 
 
-def _checked(part: str, values: ComplexArray, frequency_hz: float) -> ComplexArray:
-    v = np.asarray(values, np.complex128)
-    if not np.isfinite(v[-1]) or v[-1] == 0.0:
-        raise ValueError(f"budget at {frequency_hz:.6g} Hz: {part} is {v[-1]} there")
-    return v
+def _checked(part: str, values: ComplexArray, frequencies_hz: Array) -> ComplexArray:
+    found = np.asarray(values, np.complex128)
+    for value, hz in zip(found.tolist(), frequencies_hz.tolist(), strict=True):
+        if not np.isfinite(value) or value == 0.0:
+            raise ValueError(f"budget at {hz:.6g} Hz: {part} is {value} there")
+    return found
 
 
 def _db(value: complex) -> float:
@@ -138,7 +145,7 @@ def loop_budget(loop: Loop, frequencies_hz: Sequence[float]) -> tuple[Budget, ..
         # as a build-up step on the flexible vehicle, it needs no unwrapped phase
         bent = steps[-1][1]
         steps.append(("sampling", lambda f: np.asarray(bent(f) * sampling(f))))
-    return tuple(split(loop.response, float(f), series, steps) for f in frequencies_hz)
+    return split(loop.response, frequencies_hz, series, steps)
 
 
 def crossing_budgets(loop: Loop, measured: Margins) -> dict[str, Budget]:

@@ -72,7 +72,8 @@ class ManyLoops:
     @cached_property
     def _controller(self) -> tuple[ComplexArray, ComplexArray, float]:
         """Return the zeros, poles and gain of the law (`controller_factors`)."""
-        return controller_factors(self._nominal)
+        loop = self._nominal
+        return controller_factors(loop.law, self.node.instruments.sample_s, loop.controller)
 
     def measure(
         self, every: Sequence[Dispersion], peak_db: float, flight: Node | None = None, *, distances: bool = False

@@ -97,7 +97,7 @@ def margins_of_vehicle(
     direct = np.zeros(2)
     response.terms(poles, residues, sample_s, rest_s, mu, alpha, beta, direct)
     pairs, singles = response.by_pairs(poles, mu, alpha, beta)
-    source = LoopResponse(sample_s, pairs, singles, direct, zeros, law_poles, gain / sample_s, whole + 1, 0, 0)
+    source = LoopResponse(sample_s, pairs, singles, direct, zeros, law_poles, gain / sample_s, whole + 1, 0, 0, 1)
     roots = start.copy()
     every = _every_pole(mu, law_poles, whole + (2 if rest_s > 0.0 else 1), integrates)
     if len(every) != len(roots) or not response.zeros_of_one_plus(roots, mu, alpha, beta, every, source):
@@ -124,7 +124,7 @@ def margins_of_vehicle(
         return DONE
     centre, width, own, whose = _resonances(poles, owner, own_part, 1.0 / sample_s)
     none = np.zeros(0, np.complex128)
-    path = LoopResponse(sample_s, pairs, singles, direct, none, none, 1.0 / sample_s, whole + 1, 0, 0)
+    path = LoopResponse(sample_s, pairs, singles, direct, none, none, 1.0 / sample_s, whole + 1, 0, 0, 1)
     part = own / values_at(centre, path)
     table = lobes.find_lobes(after, every_crossing, centre, width, part, -1.0, 0.0, np.zeros(0), source)
     bounds = measure.bounds_of(after, every_crossing, table, whose < 0)

@@ -14,6 +14,7 @@ same, since the law itself is such a D.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,8 +25,10 @@ from maxq.design.loop.multiloop import Multiloop
 from maxq.design.margins.curve import ASYMPTOTIC
 from maxq.design.margins.distances import Disk, symmetric_disk
 from maxq.design.margins.measure import Margins, margins
+from maxq.design.margins.packed import matrix_response
 from maxq.design.model.state_space import ComplexArray
 
+Response = Callable[[Array], ComplexArray]
 LOWEST_HZ = 1e-3  # slower motion is outside the model, which holds gravity, position and speed, and its roots are drift
 _BEGINS = LOWEST_HZ * np.array([1.0, 2.0, 0.5, 4.0, 0.25])
 _CLOSE = 1e-9  # relative tolerance of mu
@@ -75,14 +78,15 @@ def _begin_hz(open_poles: ComplexArray) -> float:
 
 def _least_disk(loop: Multiloop, frequencies_hz: Array) -> tuple[float, float]:
     """Return alpha / 2 and its frequency in Hz, by a search between the frequencies next to that of the greatest mu."""
-    best, hz, low, high = _greatest(loop, frequencies_hz)
+    response = matrix_response(loop)
+    best, hz, low, high = _greatest(response, frequencies_hz)
     if len(loop.axes) < 3:  # the bound is mu, and that of all points takes little longer than that of one
         while high - low > _CLOSE * high:
-            found, at_hz, low, high = _greatest(loop, np.linspace(low, high, 17))
+            found, at_hz, low, high = _greatest(response, np.linspace(low, high, 17))
             best, hz = max((best, hz), (found, at_hz))
         return 0.5 / best, hz
     near = scipy.optimize.minimize_scalar(
-        lambda f: -structured_singular_value(_half(loop, np.array([f]))[0]),
+        lambda f: -structured_singular_value(_half(response, np.array([f]))[0]),
         bounds=(low, high),
         method="bounded",
         options={"xatol": _CLOSE * high},
@@ -90,12 +94,12 @@ def _least_disk(loop: Multiloop, frequencies_hz: Array) -> tuple[float, float]:
     return (0.5 / -near.fun, float(near.x)) if -near.fun > best else (0.5 / best, hz)
 
 
-def _greatest(loop: Multiloop, frequencies_hz: Array) -> tuple[float, float, float, float]:
+def _greatest(response: Response, frequencies_hz: Array) -> tuple[float, float, float, float]:
     """Return the greatest mu, its frequency, and the frequencies next to it.
 
     The exact mu is computed only where its bound by balancing exceeds the greatest value found so far.
     """
-    matrices = _half(loop, frequencies_hz)
+    matrices = _half(response, frequencies_hz)
     d = np.exp(log_scales(matrices))
     bounds = np.linalg.norm(matrices * (d[:, :, None] / d[:, None, :]), 2, axis=(1, 2))
     best, at = 0.0, 0
@@ -108,9 +112,10 @@ def _greatest(loop: Multiloop, frequencies_hz: Array) -> tuple[float, float, flo
     return best, float(frequencies_hz[at]), float(low), float(high)
 
 
-def _half(loop: Multiloop, frequencies_hz: Array) -> ComplexArray:
-    eye = np.eye(len(loop.axes))
-    return np.asarray(np.linalg.inv(eye + loop.response(frequencies_hz)) - 0.5 * eye)
+def _half(response: Response, frequencies_hz: Array) -> ComplexArray:
+    whole = response(frequencies_hz)
+    eye = np.eye(whole.shape[-1])
+    return np.asarray(np.linalg.inv(eye + whole) - 0.5 * eye)
 
 
 def structured_singular_value(matrix: ComplexArray) -> float:

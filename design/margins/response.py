@@ -1,5 +1,7 @@
 """The response L of one loop for compiled code: from poles and residues, or from a Python callback.
 
+With other loops closed, the same numbers describe each element of the matrix of all loops (`axes`).
+
 The sampled response is the sum of one term for each pole of actuator, vehicle and gyro. Consider a pole l with residue
 R of the continuous path. The command is held over a period T and takes effect after m periods and t, and the output is
 averaged over a period. The term of the pole is then
@@ -40,6 +42,10 @@ class LoopResponse(NamedTuple):
     """The data from which compiled functions compute the open loop L.
 
     `ask` is the address of the callback and `token` its argument. An address of 0 means that there is no callback.
+
+    If `axes` is above 1, the loop is the first of several, and the others are closed. `pairs`, `singles` and `direct`
+    then contain all elements of the matrix, row by row, and `zeros` and `poles` the law of each row. The rows have
+    equal numbers of them and the same `gain`.
     """
 
     sample_s: float
@@ -52,6 +58,7 @@ class LoopResponse(NamedTuple):
     periods: int  # whole periods of delay
     ask: int
     token: int
+    axes: int = 1
 
 
 class _Asked:
@@ -94,7 +101,7 @@ def asking(loop: OpenLoop) -> Iterator[LoopResponse]:
     _ASKED[token] = asked
     none, nothing = np.zeros((0, 6)), np.zeros(0, np.complex128)
     try:
-        yield LoopResponse(0.0, none, none[:, :3].copy(), np.zeros(2), nothing, nothing, 0.0, 0, _ADDRESS, token)
+        yield LoopResponse(0.0, none, none[:, :3].copy(), np.zeros(2), nothing, nothing, 0.0, 0, _ADDRESS, token, 1)
     finally:
         del _ASKED[token]
         if asked.problem is not None:
@@ -144,9 +151,55 @@ def values_at(f: Array, loop: LoopResponse) -> ComplexArray:
     if loop.ask != 0:
         if len(f) > 0:
             _ask(loop.ask, loop.token, f, out)
+    elif loop.axes > 1:
+        _close_others(matrix_at(f, loop), out)
     else:
         _sum_terms(f, loop, out)
     return out
+
+
+@routine
+def matrix_at(f: Array, loop: LoopResponse) -> ComplexArray:
+    """Return the matrix of all loops at frequencies `f` in Hz, (axes, axes, frequencies)."""
+    m = loop.axes
+    pairs, singles = len(loop.pairs) // (m * m), len(loop.singles) // (m * m)
+    law, law_poles = len(loop.zeros) // m, len(loop.poles) // m
+    out = np.empty((m, m, len(f)), np.complex128)
+    for k in range(m * m):
+        i = k // m
+        one = LoopResponse(
+            loop.sample_s,
+            loop.pairs[k * pairs : (k + 1) * pairs],
+            loop.singles[k * singles : (k + 1) * singles],
+            loop.direct[2 * k : 2 * k + 2],
+            loop.zeros[i * law : (i + 1) * law],
+            loop.poles[i * law_poles : (i + 1) * law_poles],
+            loop.gain,
+            loop.periods,
+            0,
+            0,
+            1,
+        )
+        _sum_terms(f, one, out[i, k % m])
+    return out
+
+
+@routine
+def _close_others(whole: ComplexArray, out: ComplexArray) -> None:
+    """Compute the first loop with the others closed, L_11 - L_1o (1 + L_oo)^-1 L_o1, into `out`.
+
+    `whole` has the shape (axes, axes, frequencies), with two or three axes.
+    """
+    for k in range(len(out)):
+        a = 1.0 + whole[1, 1, k]
+        if len(whole) == 2:
+            out[k] = whole[0, 0, k] - whole[0, 1, k] * whole[1, 0, k] * reciprocal(a)
+            continue
+        b, c, d = whole[1, 2, k], whole[2, 1, k], 1.0 + whole[2, 2, k]
+        first = d * whole[1, 0, k] - b * whole[2, 0, k]
+        second = a * whole[2, 0, k] - c * whole[1, 0, k]
+        around = whole[0, 1, k] * first + whole[0, 2, k] * second
+        out[k] = whole[0, 0, k] - around * reciprocal(a * d - b * c)
 
 
 @routine

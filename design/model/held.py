@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from maxq.control.kernel.records import Array, IntArray, Records, blank
+from maxq.control.kernel.records import Array, IntArray, Records, blank, duplicate
 from maxq.control.kernel.tables import table_in
 from maxq.design.model import jacobian
 from maxq.design.model.instruments import DERIVATIVES, Plane, of_drive, sensed
@@ -79,7 +79,7 @@ class HeldStage:
     properties: Array
     swing_rad: Array
 
-    @property
+    @cached_property
     def sizes(self) -> Any:
         return self.parameters[0].vehicle.sizes
 
@@ -100,8 +100,7 @@ class HeldStage:
 
     def copied(self) -> HeldStage:
         """Return a copy with its own arrays."""
-        # `repeat` copies whole records, whereas `copy` copies field by field and takes six times as long
-        return dataclasses.replace(self, parameters=np.repeat(self.parameters, 1), properties=self.properties.copy())
+        return dataclasses.replace(self, parameters=duplicate(self.parameters), properties=self.properties.copy())
 
     @property
     def rings(self) -> Array:
@@ -383,7 +382,7 @@ def hold_stage(packed: Packed, clock_s: float, stage: int = 0) -> HeldStage:
 
     Instruments are ideal, and wind, turbulence and failures are absent.
     """
-    rows = packed.parameters[stage : stage + 1].copy()
+    rows = duplicate(packed.parameters[stage : stage + 1])
     row, sizes = rows[0], packed.parameters[stage].vehicle.sizes
     properties = np.zeros((1, PROPERTIES_SIZE))
     columns = table_in(packed.pool, row.vehicle.schedule)(clock_s)

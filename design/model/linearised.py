@@ -35,7 +35,7 @@ from typing import Any
 
 import numpy as np
 
-from maxq.control.kernel.records import Array, IntArray, blank
+from maxq.control.kernel.records import Array, IntArray, blank, duplicate
 from maxq.design.model import jacobian
 from maxq.design.model.state_space import StateSpace
 from maxq.sim.flight.loop import begin
@@ -69,7 +69,7 @@ def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
     `packed` may be at its start or in flight and is not changed. It determines the stage, and whether the stage burns
     or is held down. The derivatives are those of `jacobian.differentiate`.
     """
-    memory = packed.memory.copy()
+    memory = duplicate(packed.memory)
     if memory[0].clock.started == 0:
         begin(packed.parameters, packed.pool, memory, packed.state.copy())
     stage = packed.parameters[int(memory[0].clock.stage)]
@@ -119,7 +119,7 @@ def differentiate(
     jacobian.differentiate(
         parameters,
         pool,
-        memory.copy(),
+        duplicate(memory),
         states,
         now_ns,
         int(properties is None),
@@ -180,7 +180,7 @@ def at_rest(packed: Packed, time_s: float) -> tuple[Packed, Array]:
 
     Position, attitude, velocity and roll rate are kept. Pitch and yaw rates and the corresponding gyro states are zero.
     """
-    memory, out = packed.memory.copy(), np.zeros(layout.MAX_STATE)
+    memory, out = duplicate(packed.memory), np.zeros(layout.MAX_STATE)
     memory[0].held.command_rad[:] = 0.0
     out[: layout.W_BI_B + 1] = packed.state[: layout.W_BI_B + 1]
     out[layout.GYRO] = out[layout.W_BI_B]

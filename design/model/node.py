@@ -86,7 +86,7 @@ class Node(OperatingPoint):
 
     def check_axial_load(self) -> None:
         """Raise ValueError, with the operating point, if a vehicle with pendulums has no positive axial load."""
-        if len(self.vehicle.pendulums.mass_kg) and self.axial_load_mps2 <= 0.0:
+        if self.vehicle.pendulums.mass_kg.any() and self.axial_load_mps2 <= 0.0:
             problem = f"a pendulum needs a positive axial load, not {self.axial_load_mps2:g} m/s2"
             raise ValueError(f"operating point at {self.time_s:g} s: {problem}")
 

@@ -140,8 +140,8 @@ def flies_to(run: FlightRun, time_s: float) -> bool:
     at_ns = round(time_s * 1e9 / step_ns) * step_ns
     while not run.finished and round(run.now_s * 1e9) < at_ns:
         run.fly_segment(at_ns)
-    over = run.finished or loss_of(run.events) is not None
-    return not over and not any(event.name in ENDS for event in run.events)
+    events = () if run.finished else run.events
+    return not run.finished and loss_of(events) is None and not any(event.name in ENDS for event in events)
 
 
 def thrust_share(stage: Stage, burn: Burn, time_s: float) -> float:

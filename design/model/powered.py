@@ -6,11 +6,15 @@ import dataclasses
 import math
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
+from maxq.control.kernel.records import duplicate
 from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, TUMBLE
-from maxq.sim.packing.flight import pack_flight
-from maxq.sim.run.flight import Event
+from maxq.sim.packing.flight import Packed, pack_flight
+from maxq.sim.run.flight import Event, LoggedRows
 from maxq.sim.run.fly import CONTROL_LOST_NAME, CUTOFF_NAME, DIVERGED_NAME, IGNITION_NAME, FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
 
@@ -42,23 +46,83 @@ def loss_text(loss: Event) -> str:
     return f"{loss.name.replace('_', ' ')} at {loss.time_s:.3f} s"
 
 
+@dataclass
+class _Ascent:
+    """A flight of a scenario, with the states at the ends of its segments, from which further flights continue."""
+
+    scenario: LoadedScenario
+    faults: bool
+    flown: LoadedScenario
+    packed: Packed
+    reached: dict[int, list[NDArray[np.uint8]]] = field(default_factory=dict)  # `_Resumed._carried` by time, ns
+    answer: tuple[tuple[Span, ...], Event | None] | None = None  # of `powered_flight`
+
+
+_LATEST: deque[_Ascent] = deque(maxlen=4)
+_MOST_REACHED = 300  # states of an ascent, 0.1 MB each
+
+
+def _ascent(scenario: LoadedScenario, faults: bool) -> _Ascent:
+    """Return the flight of a scenario on the grid of run.step_s, one of the latest if it is among them."""
+    faults = faults and bool(scenario.scenario.fault)
+    for known in tuple(_LATEST):
+        if known.scenario is scenario and known.faults == faults:
+            return known
+    flown = _on_grid(scenario, faults)
+    found = _Ascent(scenario, faults, flown, pack_flight(flown.scenario))
+    _LATEST.append(found)
+    return found
+
+
+def _on_grid(scenario: LoadedScenario, faults: bool) -> LoadedScenario:
+    run = scenario.scenario.run.model_copy(update={"accuracy": None})
+    flown = scenario.scenario.model_copy(update={"run": run} | ({} if faults else {"fault": ()}))
+    return dataclasses.replace(scenario, scenario=flown)
+
+
+class _Resumed(FlightRun):
+    """A flight without a log that continues from the states of its ascent, and adds its own to them.
+
+    It is bit-identical to a flight from the start.
+    """
+
+    def __init__(self, ascent: _Ascent) -> None:
+        packed = ascent.packed
+        own = dataclasses.replace(packed, memory=duplicate(packed.memory), state=packed.state.copy())
+        super().__init__(ascent.flown, own, log=False)
+        self._reached = ascent.reached
+
+    @property
+    def _carried(self) -> list[NDArray[np.uint8]]:
+        """Return the bytes of all that a step of fixed length takes over from the step before."""
+        of_arena = (self._arena[name] for name in ("start_properties", "start_aux", "work"))
+        return [each.view(np.uint8) for each in (self.packed.memory, self.packed.state, *of_arena)]
+
+    def fly_segment(self, length_ns: int | None = None) -> LoggedRows:
+        now_ns, length_ns = int(self.memory.clock.now_ns), length_ns or self.segment_ns
+        until_ns = (now_ns // length_ns + 1) * length_ns
+        known_ns = max((t for t in tuple(self._reached) if now_ns < t <= until_ns), default=now_ns)
+        if known_ns > now_ns:
+            for mine, known in zip(self._carried, self._reached[known_ns], strict=True):
+                mine[:] = known
+            if known_ns == until_ns or self.finished:
+                return {}
+        rows = super().fly_segment(length_ns)
+        if len(self._reached) < _MOST_REACHED:
+            self._reached[int(self.memory.clock.now_ns)] = [each.copy() for each in self._carried]
+        return rows
+
+
 def powered_flight(scenario: LoadedScenario, faults: bool = False) -> tuple[tuple[Span, ...], Event | None]:
     """Return the powered span of each stage and the loss, from a flight to the last burnout, a cutoff or the loss.
 
-    After a cutoff, there are no spans: operating points are those of the first burn.
-
-    The flight is simulated without a log. The latest results are cached, since callers request spans, times and loss of
-    one flight in turn.
+    After a cutoff, there are no spans: operating points are those of the first burn. The flight is simulated without a
+    log. The latest results are cached, since callers request spans, times and loss of one flight in turn.
     """
-    for known, with_faults, found in tuple(_LATEST):
-        if known is scenario and with_faults == faults:
-            return found
-    answer = _powered_flight(scenario, faults)
-    _LATEST.append((scenario, faults, answer))
-    return answer
-
-
-_LATEST: deque[tuple[LoadedScenario, bool, tuple[tuple[Span, ...], Event | None]]] = deque(maxlen=4)
+    ascent = _ascent(scenario, faults)
+    if ascent.answer is None:
+        ascent.answer = _powered_flight(scenario, faults)
+    return ascent.answer
 
 
 def _powered_flight(scenario: LoadedScenario, faults: bool) -> tuple[tuple[Span, ...], Event | None]:
@@ -107,11 +171,13 @@ def spans_of(events: Iterable[Event], stages: int, now_s: float) -> tuple[Span, 
 def flown_run(scenario: LoadedScenario, faults: bool, log: bool = False) -> FlightRun:
     """Return a flight at its start, by default without a log.
 
-    The grid is that of run.step_s, which contains the operating points. `faults` of False removes the failures.
+    The grid is that of run.step_s, which contains the operating points. `faults` of False removes the failures. Flights
+    of one scenario without a log compute each part of the flight once.
     """
-    run = scenario.scenario.run.model_copy(update={"accuracy": None})
-    flown = scenario.scenario.model_copy(update={"run": run} | ({} if faults else {"fault": ()}))
-    return FlightRun(dataclasses.replace(scenario, scenario=flown), pack_flight(flown), log=log)
+    computer = scenario.vehicle.computer
+    if log or (computer is not None and computer.law == "external"):
+        return FlightRun(_on_grid(scenario, faults), log=log)
+    return _Resumed(_ascent(scenario, faults))
 
 
 def flown_to(run: FlightRun, time_s: float) -> int:

@@ -7,21 +7,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag
 from pydantic_core import PydanticCustomError
 
-from maxq.sim.campaign.read import LoadedCampaign, load_campaign, made_of
-from maxq.sim.campaign.schema import CampaignFile, Correlated
-from maxq.sim.campaign.targets import find_target
+from maxq.sim.campaign.correlated import Correlated
 from maxq.sim.input.errors import ScenarioError, refuse
 from maxq.sim.input.remembered import cached_by_identity
 from maxq.sim.input.values import LIST_FORM, TABLE_FORM, NotNegative, Section, optional
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
 from maxq.sim.vehicle.actuator.section import ActuatorAxis
+
+if TYPE_CHECKING:
+    from maxq.sim.campaign.read import LoadedCampaign
 
 RelativeDeviation = Annotated[float, Field(ge=0.0, lt=1.0)]
 """A relative deviation below 1, so that the quantity keeps its sign."""
@@ -82,6 +83,10 @@ def campaign_of(spread: Spread, base: LoadedScenario, seed: int = 1) -> LoadedCa
 
     Raises ScenarioError for a campaign that cannot be read, and for impossible correlations.
     """
+    from maxq.sim.campaign.read import load_campaign, made_of  # noqa: PLC0415  # lazy, as the next two: a basis is read
+    from maxq.sim.campaign.schema import CampaignFile  # noqa: PLC0415  # by commands that need no campaign
+    from maxq.sim.campaign.targets import find_target  # noqa: PLC0415
+
     if spread.campaign is not None:
         return load_campaign(spread.campaign)
     base = with_actuators_apart(base)

@@ -27,7 +27,7 @@ import numpy as np
 import scipy.linalg
 from threadpoolctl import threadpool_limits
 
-from maxq.control.kernel.records import Array
+from maxq.control.kernel.records import Array, duplicate
 from maxq.design.laws.law import MEASUREMENTS
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop, law_at
@@ -157,7 +157,7 @@ def flown_as(deviations: Deviations, base: LoadedScenario, flown: Packed, stage:
     Raises ValueError if that vehicle has other states.
     """
     packed = pack_flight(deviations.scenario(base, u).scenario)
-    parameters = packed.parameters.copy()
+    parameters = duplicate(packed.parameters)
     parameters["timeline"] = flown.parameters["timeline"]
     mine, other = (int(state_size(p[stage].vehicle.sizes)) for p in (parameters, flown.parameters))
     if mine != other:

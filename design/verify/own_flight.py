@@ -34,17 +34,9 @@ from maxq.design.optimise.search import SearchProgress
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import each_stage, nominal_plants, solve
 from maxq.design.quantities import QUANTITIES, TOLERANCE
-from maxq.design.verify.judging import (
-    DesignOutcome,
-    judge,
-    judge_solution,
-    make_design,
-    margins_of_all_axes,
-    multiloop_checks,
-    stage_checks,
-    worst_times_s,
-)
+from maxq.design.verify.judging import judge, margins_of_all_axes, multiloop_checks, stage_checks, worst_times_s
 from maxq.design.verify.names import stage_name
+from maxq.design.verify.outcome import DesignOutcome, judge_solution, make_design
 from maxq.design.verify.uncovered import Uncovered, uncovered
 from maxq.sim.run.flight import Event
 from maxq.sim.scenario.loader import LoadedScenario

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationInfo, ValidatorFunctionWrapHandler, WrapValidator
 
+from maxq.sim.campaign.correlated import Correlated
 from maxq.sim.flight.metric_table import METRIC_NAMES
 from maxq.sim.input.documents import Text
 from maxq.sim.input.errors import refuse
@@ -68,13 +69,6 @@ class Envelope(Section):
     percentiles: tuple[Annotated[float, Field(ge=0.0, le=100.0)], ...] = optional(
         "lines of the envelope, %", (0.135, 5.0, 50.0, 95.0, 99.865)
     )
-
-
-class Correlated(Section):
-    """Two draws of any continuous distributions with correlated normal scores (a Gaussian copula)."""
-
-    of: tuple[str, str] = Field(description="names or key paths of two draws with continuous distributions")
-    coefficient: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(description="correlation coefficient of their scores")
 
 
 def campaign_title(name: str) -> str:

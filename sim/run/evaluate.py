@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 from maxq.control.kernel.jit import bare_pointer, entry
-from maxq.control.kernel.records import Array, Records, blank
+from maxq.control.kernel.records import Array, Records, blank, duplicate
 from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight.loop import begin
 from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
@@ -45,7 +45,7 @@ def evaluate_at(packed: Packed, y: Array, time_s: float) -> Instant:
     `packed` may be at its start or in flight; it is not changed. Its memory gives the stage, the gimbal commands, and
     the states of burn and hold-down.
     """
-    memory = packed.memory.copy()
+    memory = duplicate(packed.memory)
     if memory[0].clock.started == 0:
         begin(packed.parameters, packed.pool, memory, packed.state.copy())
     space = blank(Space)

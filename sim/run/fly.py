@@ -15,7 +15,7 @@ import numpy as np
 
 from maxq.control.kernel.limits import MAX_PENDULUMS
 from maxq.control.kernel.progress import compilation
-from maxq.control.kernel.records import Array, IntArray, Records, blank, pack
+from maxq.control.kernel.records import Array, IntArray, Records, blank, duplicate, pack
 from maxq.control.orbit_guidance import STEERING
 from maxq.control.structures import DRIFT
 from maxq.sim.flight.channels import ChannelTable
@@ -341,7 +341,7 @@ class FlightRun:
     def present(self) -> dict[str, float]:
         """Return the value of every channel at this instant, in logged units, without a change of the flight."""
         kept, room = self.packed, {group: self._blank(group, 1) for group in self._rows}
-        self.packed = replace(kept, memory=kept.memory.copy(), state=kept.state.copy())
+        self.packed = replace(kept, memory=duplicate(kept.memory), state=kept.state.copy())
         clock = self.packed.memory["clock"]
         clock["finished"], clock["started"] = 1, 1  # as at the end of a flight, whose last instant is logged
         try:

@@ -21,15 +21,11 @@ from maxq.design.laws.design_file import DESIGN_NAME, design_path, forget_pictur
 from maxq.design.loop.fixed_path import Cut, fixed_path
 from maxq.design.loop.loop import close_loop
 from maxq.design.margins.measure import margins
-from maxq.design.model.deviations import acting_at
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node, with_cuts
 from maxq.design.model.node_times import node_times
 from maxq.design.model.powered import powered_flight
-from maxq.design.model.spread import campaign_of
 from maxq.design.operating_points import published_nodes
-from maxq.design.optimise.over_time import instants_beside
-from maxq.design.paper.errata_effects import Effect, errata_effects, peaks_db
 from maxq.design.paper.nodes import PaperNode
 from maxq.design.verify.judging import (
     Check,
@@ -66,6 +62,7 @@ from maxq.tools.design.report import (
 )
 
 if TYPE_CHECKING:
+    from maxq.design.paper.errata_effects import Effect
     from maxq.design.verify.dispersed_limits import WorstOfBasis
 
 RECORD_NAME, PAGE_NAME = "analysis.json", "analysis.html"
@@ -230,7 +227,9 @@ def dispersed_checks(
     """
     if basis.robust is None or not flies_as_measured(order.kind, order.errata, order.plant):
         return None, []
-    from maxq.design.verify.dispersed_limits import worst_of_basis  # noqa: PLC0415  # lazy: with a robust basis only
+    from maxq.design.model.deviations import acting_at  # noqa: PLC0415  # lazy, as the next two: with a robust basis
+    from maxq.design.model.spread import campaign_of  # noqa: PLC0415
+    from maxq.design.verify.dispersed_limits import worst_of_basis  # noqa: PLC0415
 
     at = [j.flown for j in judged if j.time_s in points_s]
     beside = [j.flown for j in judged if j.time_s not in points_s]
@@ -307,6 +306,8 @@ def instants_between(
     for span in powered_flight(scenario)[0]:
         mine = [t for t in points_s if span.holds(t)]
         if mine and bases.get(span.stage, Basis()).between_nodes == "hold":
+            from maxq.design.optimise.over_time import instants_beside  # noqa: PLC0415  # lazy: few designs need it
+
             out += instants_beside(mine)
     return out
 
@@ -388,6 +389,7 @@ def effects(nodes: Sequence[PaperNode], design: Design) -> list[Effect]:
     """Return the effect of every erratum at every operating point, on the design's loop with the paper's Pade
     approximants.
     """
+    from maxq.design.paper.errata_effects import errata_effects, peaks_db  # noqa: PLC0415  # lazy: for `errata` only
 
     def measure(node: Node, cut: Cut) -> Mapping[str, float]:
         """Return the peaks and, for the whole loop, its margins. `unstable` is 1 if the loop is unstable."""

@@ -12,7 +12,8 @@ from maxq.design.case.schema import read_case
 from maxq.design.laws.design_file import design_path, design_text, load_design
 from maxq.design.model.instruments import Plane
 from maxq.design.optimise.solution import Solution
-from maxq.design.verify.judging import DesignOutcome, JudgedLoop, Wanted, judge, objective_text
+from maxq.design.verify.judging import JudgedLoop, Wanted, judge
+from maxq.design.verify.outcome import DesignOutcome, objective_text
 from maxq.design.verify.own_flight import design_case
 from maxq.sim.files import write_whole
 from maxq.sim.log.tabular import html_table

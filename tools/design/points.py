@@ -7,17 +7,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from maxq.design.case.basis import Basis, stated_basis
-from maxq.design.case.schema import LoadedCase, read_case
 from maxq.design.laws.design_file import DESIGN_NAME, design_text, forget_pictures
-from maxq.design.laws.schedule import UnsolvableError
 from maxq.design.loop.fixed_path import LoopKind
-from maxq.design.model.given_file import GivenPoints, given_points, read_points
-from maxq.design.optimise.search import SearchProgress
-from maxq.design.optimise.solution import Solution
-from maxq.design.optimise.solve import each_stage, solve
-from maxq.design.verify.judging import DesignOutcome, judge, judge_solution, objective_text, stage_checks
+from maxq.design.verify.judging import judge, stage_checks
 from maxq.sim.files import check_writable, plain_name, write_whole
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.input.files import Reading, builtin_files, locate
@@ -35,6 +30,13 @@ from maxq.tools.design.report import (
     case_report,
     write_record,
 )
+
+if TYPE_CHECKING:
+    from maxq.design.case.schema import LoadedCase
+    from maxq.design.model.given_file import GivenPoints
+    from maxq.design.optimise.search import SearchProgress
+    from maxq.design.optimise.solution import Solution
+    from maxq.design.verify.outcome import DesignOutcome
 
 RECORD_NAME, CASE_RECORD_NAME = "analysis.json", "design.json"
 _NO_FLIGHT = ("scenario", "vehicle", "faults", "every_s", "errata", "plant", "axis", "plots")
@@ -64,6 +66,8 @@ def execute(order: AnalysisOrder, points: str) -> int:
 
     Raises CommandError for an option that requires a flight, and ScenarioError.
     """
+    from maxq.design.model.given_file import given_points, read_points  # noqa: PLC0415  # lazy: with points only
+
     for key in order.given:
         if key in _NO_FLIGHT and getattr(order, key):
             raise CommandError(f"--{key.removesuffix('_s')} has no meaning with points: they are given, not flown")
@@ -106,6 +110,10 @@ def make(case: str, *, overrides: tuple[str, ...] = (), out: str | None = None) 
 
     Raises ScenarioError and FileError.
     """
+    from maxq.design.case.schema import read_case  # noqa: PLC0415  # lazy, as below: an analysis needs no case
+    from maxq.design.laws.schedule import UnsolvableError  # noqa: PLC0415
+    from maxq.design.verify.outcome import objective_text  # noqa: PLC0415
+
     loaded = read_case(case, overrides)
     folder = Path(out or Path("runs") / plain_name(loaded.name, "design"))
     check_writable(folder)
@@ -135,6 +143,9 @@ def designed_at_points(loaded: LoadedCase, progress: SearchProgress | None = Non
     """Return the judged design of a case of points, and its solution. Raises UnsolvableError or ValueError if there is
     none.
     """
+    from maxq.design.optimise.solve import each_stage, solve  # noqa: PLC0415
+    from maxq.design.verify.outcome import judge_solution  # noqa: PLC0415
+
     (stage,) = each_stage(loaded)
     solution = solve(stage, progress=progress)
     return judge_solution(stage, solution), solution

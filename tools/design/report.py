@@ -22,9 +22,8 @@ from maxq.design.margins.multiloop import MultiloopMargins
 from maxq.design.model.instruments import Plane
 from maxq.design.model.powered import loss_text
 from maxq.design.operating_points import PlantKind
-from maxq.design.optimise.solution import Solution
 from maxq.design.quantities import RigidBody
-from maxq.design.verify.judging import Check, DesignOutcome, JudgedLoop
+from maxq.design.verify.judging import Check, JudgedLoop
 from maxq.design.verify.names import stage_name
 from maxq.design.verify.uncovered import Uncovered
 from maxq.sim.files import write_whole
@@ -34,10 +33,11 @@ from maxq.sim.run.quantities import number_text
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.tools.cli.terminal import aligned, printable
-from maxq.tools.design.way_out import way_out_comments, way_out_record, way_out_table
 
 if TYPE_CHECKING:
+    from maxq.design.optimise.solution import Solution
     from maxq.design.verify.dispersed_limits import WorstOfBasis
+    from maxq.design.verify.outcome import DesignOutcome
     from maxq.design.verify.own_flight import CaseDesign
 
 GAIN_HEADS = {
@@ -156,6 +156,8 @@ def analysis_verdict(groups: Sequence[Group], loss: Event | None = None) -> str:
 
 def case_report(outcome: DesignOutcome, solution: Solution) -> str:
     """Return the report of `simdesign CASE`."""
+    from maxq.tools.design.way_out import way_out_table  # noqa: PLC0415  # lazy, as below: an analysis has no search
+
     loaded, case = outcome.loaded, outcome.loaded.case
     design = outcome.design.of_stage(outcome.judged[0].node.stage)
     where = f"along {case.scenario}" if case.points is None else f"at the points of {case.points}"
@@ -186,6 +188,8 @@ def _joined(*parts: Sequence[str]) -> str:
 
 def comments(made: CaseDesign) -> list[str]:
     """Return the lines at the head of the design file: the case that made it, and the limits that it misses."""
+    from maxq.tools.design.way_out import way_out_comments  # noqa: PLC0415
+
     lines = []
     for outcome, solution in made.results:
         case = outcome.loaded.case
@@ -551,6 +555,8 @@ def analysis_record(
 
 def case_record(outcome: DesignOutcome, solution: Solution) -> dict[str, Any]:
     """Return the record of `simdesign CASE`."""
+    from maxq.tools.design.way_out import way_out_record  # noqa: PLC0415
+
     case, c = outcome.loaded.case, solution.certificate
     return {
         "schema": SCHEMA,

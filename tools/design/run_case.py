@@ -35,8 +35,9 @@ from maxq.design.optimise.search import SearchProgress as Watch
 from maxq.design.optimise.solution import Solution
 from maxq.design.optimise.solve import each_stage, solve
 from maxq.design.optimise.way_out import tried
-from maxq.design.verify.judging import Check, DesignOutcome, JudgedLoop, Wanted, make_design, objective_text
+from maxq.design.verify.judging import Check, JudgedLoop, Wanted
 from maxq.design.verify.names import stage_name
+from maxq.design.verify.outcome import DesignOutcome, make_design, objective_text
 from maxq.design.verify.own_flight import CaseDesign, design_case
 from maxq.sim.files import check_writable, plain_name, write_whole
 from maxq.sim.input.errors import ScenarioError
