@@ -90,6 +90,7 @@ class Clock:
     next_sample_ns: int
     command_due_ns: int  # instant at which the pending command takes effect
     cut_off_ns: int  # engine cutoff by the guidance, which stops the schedule; 0: none
+    decay_ns: int  # of the thrust after this cutoff, by the stage that commanded it
     ignite_ns: int  # restart by the guidance; 0: none
     idle_ns: int  # total time between cutoffs and restarts, in which the schedule was stopped
     pending_rad: Annotated[Array, (2 * MAX_ENGINES,)]

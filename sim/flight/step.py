@@ -100,7 +100,7 @@ def read_schedule(p: Parameters, pool: Array, memory: Memory, now_ns: int, elaps
     if 0 < memory.clock.cut_off_ns <= now_ns:
         stop_flow(counts(p.vehicle.sizes), properties)
     derive_properties(p.vehicle, pool, clock_s, properties)
-    decay_ns, since_cutoff_ns = p.timeline.decay_ns, now_ns - memory.clock.cut_off_ns
+    decay_ns, since_cutoff_ns = memory.clock.decay_ns, now_ns - memory.clock.cut_off_ns
     if decay_ns > 0 and memory.clock.cut_off_ns > 0 and since_cutoff_ns >= 0:
         left = max(1.0 - (since_cutoff_ns + 1e9 * elapsed_s) / decay_ns, 0.0)
         sizes = counts(p.vehicle.sizes)
