@@ -18,6 +18,7 @@ from maxq.sim.vehicle.engine.packing import on_clock
 from maxq.sim.vehicle.loads import kernel as columns_of
 from maxq.sim.vehicle.loads import section as schema
 from maxq.sim.vehicle.loads.kernel import Loads
+from maxq.sim.vehicle.modes.shapes import ModeShapes, on_body, shapes_over
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 from maxq.sim.vehicle.slosh.packing import pendulum_curves, pendulums
 from maxq.sim.vehicle.slosh.section import Tank
@@ -135,13 +136,10 @@ class _Bearer(NamedTuple):
         rows = self.mass.at(times - self.ignition_s)
         return rows[:, 0], rows[:, 1], 0.5 * (rows[:, 5] + rows[:, 6])
 
-    def shapes(self, core: _Shapes) -> tuple[Array, Array]:
+    def shapes(self, core: ModeShapes) -> tuple[Array, Array]:
         """Return the shape at the first attachment and the slope of the booster (T, M) (docs/model.md, 4.12)."""
-        first, last = self.attachments_m[0], self.attachments_m[-1]
-        held, slope = core.value_and_slope(first)
-        if first != last:
-            slope = (core.value_and_slope(last)[0] - held) / (last - first)
-        return held, slope
+        own, first = on_body(core, self.attachments_m), self.attachments_m[0]
+        return own.value(first)[0], own.slope(first)[0]
 
 
 def _bearers(stage: Stage, nominal: Sequence[Cubics]) -> tuple[_Bearer, ...]:
@@ -299,8 +297,8 @@ class _Body:
         In the inertial forces, the shapes exclude their rigid motion with respect to this line mass. Hence the modes do
         not change momentum and angular momentum, as in the equations of motion.
         """
-        shapes = _Shapes(table, self.times, self.method)
-        phi = [shapes.at(part.x) for part in self.parts]  # (T, n, nodes, M)
+        shapes = shapes_over(table, self.times, self.method)
+        phi = [shapes.along(part.x) for part in self.parts]  # (T, n, nodes, M)
         cg, shift, turn = self._rigid_motion(shapes, phi)
         about_cg = [part.x - cg[:, None, None] for part in self.parts]
         force = [
@@ -309,7 +307,7 @@ class _Body:
         ]
         inertia = self._forward(force, stations)
         moment = self._forward([f * part.x[..., None] for part, f in zip(self.parts, force, strict=True)], stations)
-        here = shapes.at(np.broadcast_to(stations, (len(self.times), 1, len(stations))))[:, 0]  # (T, stations, M)
+        here = shapes.along(np.broadcast_to(stations, (len(self.times), len(stations))))  # (T, stations, M)
         hung = [part.mass[..., None] * p for part, p in zip(self.parts, phi, strict=True)]
         mass = self._forward([part.mass for part in self.parts], stations, hanging=True)
         aside = self._forward(hung, stations, hanging=True) - mass[..., None] * here
@@ -317,8 +315,8 @@ class _Body:
 
     def carried(self, table: ModeTable) -> Array:
         """Return the rows HELD to SLOPE_INERTIA (T, boosters, rows, modes) of one plane."""
-        shapes = _Shapes(table, self.times, self.method)
-        cg, shift, turn = self._rigid_motion(shapes, [shapes.at(part.x) for part in self.parts])
+        shapes = shapes_over(table, self.times, self.method)
+        cg, shift, turn = self._rigid_motion(shapes, [shapes.along(part.x) for part in self.parts])
         out = []
         for booster in self.boosters:
             held, slope = booster.shapes(shapes)
@@ -326,7 +324,7 @@ class _Body:
             out.append(np.stack([held, slope, held - rigid, slope - turn], axis=1))
         return np.stack(out, axis=1)
 
-    def _rigid_motion(self, shapes: _Shapes, phi: list[Array]) -> tuple[Array, Array, Array]:
+    def _rigid_motion(self, shapes: ModeShapes, phi: list[Array]) -> tuple[Array, Array, Array]:
         """Return the CG (T,) of line mass and boosters, and shift and slope (T, M) of the shapes `phi` there.
 
         Masses and transverse inertias are the weights.
@@ -367,42 +365,6 @@ class _Body:
         """Return the sums (T, M) of mass times value over all parts."""
         weighted = [(p.mass[..., None] * v).sum(axis=(1, 2)) for p, v in zip(self.parts, values, strict=True)]
         return np.asarray(sum(weighted))
-
-
-class _Shapes:
-    """The shapes of a mode table at other times; the body is rigid beyond the first and last station."""
-
-    def __init__(self, table: ModeTable, times: Array, method: Method) -> None:
-        stacked = np.stack([table.phi, table.slope_pm], axis=1)
-        over_time = fit(table.time_s, stacked.reshape(len(table.time_s), -1), method).at(times)
-        self._phi, self._slope = over_time.reshape(len(times), *stacked.shape[1:]).swapaxes(0, 1)  # (T, M, S) each
-        self._x = table.station_m
-
-    def at(self, x: Array) -> Array:
-        """Return phi (T, n, nodes, M) at stations (T, n, nodes)."""
-        breaks = self._x
-        k = np.clip(np.searchsorted(breaks, x, side="right") - 1, 0, len(breaks) - 2)
-        inside = np.clip(x, breaks[0], breaks[-1])
-        h = (breaks[k + 1] - breaks[k])[..., None]
-        s = ((inside - breaks[k])[..., None]) / h
-        t = np.arange(len(x))[:, None, None]
-        phi, slope = self._phi.transpose(0, 2, 1), self._slope.transpose(0, 2, 1)  # (T, S, M)
-        value = phi[t, k] * (1.0 + 2.0 * s) * (1.0 - s) ** 2 + phi[t, k + 1] * s * s * (3.0 - 2.0 * s)
-        value += h * (slope[t, k] * s * (1.0 - s) ** 2 + slope[t, k + 1] * s * s * (s - 1.0))
-        beyond = (x - inside)[..., None]
-        return np.asarray(value + beyond * np.where(beyond < 0.0, slope[t, 0 * k], slope[t, 0 * k + len(breaks) - 1]))
-
-    def value_and_slope(self, station_m: float) -> tuple[Array, Array]:
-        """Return phi and d(phi)/d(station) (T, M) at a station between the first and the last."""
-        k = int(np.clip(np.searchsorted(self._x, station_m, side="right") - 1, 0, len(self._x) - 2))
-        h = self._x[k + 1] - self._x[k]
-        s = (station_m - self._x[k]) / h
-        ends = [(f[:, :, k], f[:, :, k + 1]) for f in (self._phi, self._slope)]
-        (f_0, f_1), (d_0, d_1) = ends
-        value = f_0 * (1.0 + 2.0 * s) * (1.0 - s) ** 2 + f_1 * s * s * (3.0 - 2.0 * s)
-        value = value + h * (d_0 * s * (1.0 - s) ** 2 + d_1 * s * s * (s - 1.0))
-        slope = (f_1 - f_0) * 6.0 * s * (1.0 - s) / h + d_0 * (1.0 - s) * (1.0 - 3.0 * s) + d_1 * s * (3.0 * s - 2.0)
-        return value, slope
 
 
 def _gauss(low: Array, high: Array) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.sim.vehicle.engine.packing import Mount
-from maxq.sim.vehicle.modes.shapes import ModeShapes, on_body, spatial_on, spatial_shapes
+from maxq.sim.vehicle.modes.shapes import ModeShapes, SpatialShapes, on_body
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -144,15 +144,16 @@ def gauss(breaks: Array) -> tuple[Array, Array]:
 @lru_cache(maxsize=16)
 def spatial_values(table: SpatialModeTable, at: Places) -> Array:
     """Return rows and lanes of the spatial modes over the table's times, (T, rows, M), without `masses.turning`."""
-    shapes = spatial_shapes(table)
+    shapes = SpatialShapes(table)
     columns = [2.0 * np.pi * table.frequency_hz, table.generalized_mass_kg]  # (times, modes) each
-    columns += [*shapes(at.gyro_m)[0]]
+    columns += [*shapes.at(at.gyro_m)[0]]
     for k, hinge in enumerate(at.hinges_m):  # at each time the hinge of that time
-        on = spatial_on(shapes, *at.carried.of(at.carried.tanks, k))
-        columns += [*np.diagonal(on(np.frombuffer(hinge)), axis1=0, axis2=2).transpose(0, 2, 1)]
-    places = [(spatial_on(shapes, *at.carried.of(at.carried.surfaces, k)), x) for k, x in enumerate(at.surfaces_m)]
-    places += [(spatial_on(shapes, mount.attachments_m, (0.0, 0.0)), mount.station_m) for mount in at.mounts]
-    for on, station in (*places, *((shapes, x) for x in at.sensors_m)):
-        columns += [*on(station)[0]]
+        of_hinge = shapes.at(np.frombuffer(hinge), *at.carried.of(at.carried.tanks, k))
+        columns += [*np.diagonal(of_hinge, axis1=0, axis2=2).transpose(0, 2, 1)]
+    places: list[tuple[float, tuple[float, ...], tuple[float, float]]] = []
+    places += [(x, *at.carried.of(at.carried.surfaces, k)) for k, x in enumerate(at.surfaces_m)]
+    places += [(mount.station_m, mount.attachments_m, (0.0, 0.0)) for mount in at.mounts]
+    for place in (*places, *((x, (), (0.0, 0.0)) for x in at.sensors_m)):
+        columns += [*shapes.at(*place)[0]]
     softening = sum(_softening(plane, ModeShapes(plane), at) for plane in table.lateral())
     return np.concatenate([np.stack(columns, axis=1), np.transpose(softening, (0, 2, 1))], axis=1)
