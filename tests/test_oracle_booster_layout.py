@@ -17,7 +17,7 @@ from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import schedule as columns
-from maxq.sim.vehicle.loads.kernel import AXIAL
+from maxq.sim.vehicle.loads.columns import AXIAL
 from maxq.sim.vehicle.loads.section import SectionStations
 from maxq.tools.vehicle.beam import ELEMENTS, Beam, RigidLoad
 from maxq.tools.vehicle.build import Built, build, burning, m_delta_1ps2

@@ -15,7 +15,7 @@ from maxq.sim.flight.metric_table import N_METRICS
 from maxq.sim.flight.navigation import Navigation, NavigationMemory
 from maxq.sim.vehicle.derivative import Held, StageInputs, StageRecord
 from maxq.sim.vehicle.environment import Environment
-from maxq.sim.vehicle.loads.kernel import Loads, SectionLoads
+from maxq.sim.vehicle.loads.columns import Loads, SectionLoads
 from maxq.sim.world.gust_history import GustHistory
 from maxq.sim.world.turbulence import TurbulenceState
 

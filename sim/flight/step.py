@@ -36,7 +36,7 @@ from maxq.sim.vehicle.block import Q_BI, R_I, V_I, Counts, counts
 from maxq.sim.vehicle.derivative import derivative, derive_properties
 from maxq.sim.vehicle.engine.kernel import EngineOutputs
 from maxq.sim.vehicle.environment import CROSSFLOW_PART
-from maxq.sim.vehicle.loads.kernel import MAX_LOAD_COLUMNS
+from maxq.sim.vehicle.loads.columns import MAX_LOAD_COLUMNS
 from maxq.sim.vehicle.slosh.kernel import bob_mass
 from maxq.sim.vehicle.workspace import PROPERTIES_SIZE, Aux, Evaluation, Work
 from maxq.sim.world.gust_history import gust_behind

@@ -1,4 +1,4 @@
-"""The mass and the modes along the body as the columns of the section loads (sim/vehicle/loads/kernel.py)."""
+"""The mass and the modes along the body as the columns of the section loads (sim/vehicle/loads/columns.py)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from maxq.sim.input.values import to_ns
 from maxq.sim.vehicle.air.packing import surface_bodies
 from maxq.sim.vehicle.engine.burn import Burn
 from maxq.sim.vehicle.engine.packing import on_clock
-from maxq.sim.vehicle.loads import kernel as columns_of
+from maxq.sim.vehicle.loads import columns as columns_of
 from maxq.sim.vehicle.loads import section as schema
-from maxq.sim.vehicle.loads.kernel import Loads
+from maxq.sim.vehicle.loads.columns import Loads
 from maxq.sim.vehicle.modes.shapes import ModeShapes, on_body, shapes_over
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 from maxq.sim.vehicle.slosh.packing import pendulum_curves, pendulums
