@@ -315,7 +315,7 @@ def axial_work(eta: Array) -> float:
 
 
 def test_boosters_push_and_hang_on_a_bent_core() -> None:
-    """Behind the first attachments the core carries the mass forward less the boosters' thrust, in part in tension."""
+    """The core carries the mass forward less the boosters' thrust behind the first attachments, in part in tension."""
     pulled = []
     for soft in (True, False):
         made = rig(bent_launcher(soft))

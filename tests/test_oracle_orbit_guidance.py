@@ -190,8 +190,8 @@ def test_the_cut_off_leaves_the_orbit_wanted(burn: Burn) -> None:
 def test_energy_after_a_decay_is_that_of_the_orbit(decay_s: float) -> None:
     """Thrust falls linearly with its direction held.
 
-    The direction to the motion at the last sample, half a second before the cutoff, and the change of gravitation leave
-    an error that grows with the square of the decay: 0.2 km at 24 s.
+    The angle between thrust and motion is that of the last sample, half a second before the cutoff. Its error grows
+    with the square of the decay, to 0.2 km at 24 s.
     """
     burn = Burn(decay_s=decay_s, j2=0.0)
     at_s, y, state = flown(burn)

@@ -150,7 +150,7 @@ def _error(value: float, wanted: float | None) -> float:
 
 @dataclass(frozen=True)
 class SectionExtreme:
-    """The largest load of a kind (sim/vehicle/loads/columns.py, KINDS) at a station, and its largest ratio to the limit.
+    """The largest load of one of the KINDS (sim/vehicle/loads/columns.py) at a station, and its ratio to the limit.
 
     The value is 0 if the load never was positive, and the ratio is 0 without a limit. The time is then nan.
     """

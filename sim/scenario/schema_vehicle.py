@@ -363,9 +363,6 @@ class Stage(Section):
             raise refuse(
                 "too many boosters for section loads", f"up to {MAX_BOOSTERS}", "booster", value=len(self.booster)
             )
-        if self.booster and self.loads is not None and self.spatial_modes is not None:
-            problem = "section loads of boosters on spatial modes are not modelled"
-            raise refuse(problem, "planar modes", "spatial_modes", value={})
         lifting = sum(b.aero is not None and "CN_alpha_pr" in b.aero.table for b in self.booster)
         own = len(self.aero.surface) + len(self.aero.coefficients) if self.aero is not None else 0
         if lifting and own + lifting > MAX_SURFACES:

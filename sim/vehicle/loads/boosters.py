@@ -30,6 +30,8 @@ from maxq.sim.vehicle.loads.columns import (
     AIR_FORCE,
     AIR_MOMENT,
     ALONG,
+    ATTACHED,
+    ATTACHED_INERTIA,
     BOOSTER_CG,
     BOOSTER_INERTIA,
     BOOSTER_MASS,
@@ -42,12 +44,18 @@ from maxq.sim.vehicle.loads.columns import (
     HELD,
     HELD_INERTIA,
     JOINT_WIDTH,
+    LEAN_Y,
+    LEAN_Y_INERTIA,
+    LEAN_Z,
+    LEAN_Z_INERTIA,
     MOVED_Y,
     MOVED_Z,
     SECOND_Y,
     SECOND_Z,
     SLOPE,
     SLOPE_INERTIA,
+    SPATIAL_BOOSTER_ROWS,
+    TWIST,
     Drivers,
     Loads,
     SectionLoad,
@@ -70,8 +78,15 @@ def shape_column(loads: Loads, sizes: Counts, of_boosters: int, booster: int, pl
 
 
 @formula
+def spatial_shape_column(loads: Loads, sizes: Counts, of_boosters: int, booster: int, row: int) -> int:
+    """Return the first column of a row of a booster's shapes in the spatial modes."""
+    first = shape_column(loads, sizes, of_boosters, loads.boosters, 0, 0)
+    return first + (booster * SPATIAL_BOOSTER_ROWS + row) * sizes.spatial_modes
+
+
+@formula
 def joint_column(loads: Loads, sizes: Counts, of_boosters: int, booster: int) -> int:
-    return shape_column(loads, sizes, of_boosters, loads.boosters, 0, 0) + JOINT_WIDTH * booster
+    return spatial_shape_column(loads, sizes, of_boosters, loads.boosters, 0) + JOINT_WIDTH * booster
 
 
 @kernel
@@ -190,13 +205,25 @@ def join_boosters(
             held_y += bent_y * columns[in_yaw + HELD_INERTIA * m + i]
             along_z += bent_z * columns[in_pitch + SLOPE_INERTIA * m + i]
             along_y += bent_y * columns[in_yaw + SLOPE_INERTIA * m + i]
-        turned = (turned_y, turned_z)
+        turned, stretched, swung = (0.0, turned_y, turned_z), (0.0, 0.0, 0.0), (0.0, 0.0)
+        if sizes.spatial_modes > 0:
+            of_spatial = spatial_shape_column(loads, sizes, of_boosters, b, 0)
+            held, turned, more, along, stretched, swung = _in_spatial_modes(
+                sizes, d.scale, rate[0], alpha[0], work, columns, of_spatial, turned
+            )
+            moved_y, moved_z = moved_y + held[0], moved_z + held[1]
+            held_y, held_z = held_y + more[0], held_z + more[1]
+            along_y, along_z = along_y + along[0], along_z + along[1]
         pull = Pull(vector_at(columns, joint + AIR_FORCE), vector_at(columns, joint + AIR_MOMENT))
         mass, place = columns[c + BOOSTER_MASS], vector_at(columns, c + BOOSTER_CG)
         inertia = symmetric_at(columns, c + BOOSTER_INERTIA)
         aft = place[0] - first_m
         accel = add(d.accel, relative_accel(rate, alpha, from_centre(d.centre, place)))
         accel = add(accel, (0.0, held_y + aft * along_y, held_z + aft * along_z))
+        if sizes.spatial_modes > 0:  # the motion along x, and that by rotation about x, of a CG off the axis
+            along_x = stretched[0] + place[1] * stretched[1] + place[2] * stretched[2]
+            aside_y, aside_z = -place[2] * swung[0] - place[1] * swung[1], place[1] * swung[0] - place[2] * swung[1]
+            accel = add(accel, (along_x, aside_y, aside_z))
         pull = _pulled(pull, _on_booster(first_m, place, turned), scaled(-mass, accel))
         couple = add(inertia_times(inertia, alpha), cross(rate, inertia_times(inertia, rate)))
         couple = add(couple, scaled(-mass, d.spin))
@@ -221,10 +248,50 @@ def join_boosters(
 
 
 @kernel
-def _on_booster(first_m: float, place: Vector, turned: tuple[float, float]) -> Vector:
-    """Return the vector from the first attachment to a place (station, y, z) of the booster, with its rotation."""
+def _in_spatial_modes(
+    sizes: Counts, scale: float, roll: float, roll_accel: float, work: Work, columns: Array, c: int, turned: Vector
+) -> tuple[tuple[float, float], Vector, tuple[float, float], tuple[float, float], Vector, tuple[float, float]]:
+    """Return the motion of a booster in the spatial modes, whose rows begin at `c` (docs/model.md, 13.3).
+
+    - displacement y, z of the first attachment, and `turned` with twist and slopes;
+    - accelerations without rigid motion: y, z of the first attachment, and their increase per metre aft;
+    - acceleration along x, and per metre of offset in y and z;
+    - acceleration by twist per metre of offset: across it, and towards the axis.
+    """
+    n, modes = sizes.spatial_modes, work.modes.spatial
+    moved_y, moved_z, held_y, held_z, along_y, along_z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    twist, lean_y, lean_z, spin, inward = turned[0], turned[1], turned[2], 0.0, 0.0
+    stretch, stretch_y, stretch_z = 0.0, 0.0, 0.0
+    for i in range(n):
+        eta, first = modes.eta_m[i], c + i
+        accel = modes.accel_mps2[i] - roll_accel * modes.turned_m[i] - roll * modes.turned_rate_mps[i]
+        along = scale * (accel - roll * roll * eta)
+        across = scale * (2.0 * roll * modes.rate_mps[i] + roll_accel * eta)
+        moved_y += eta * columns[first + (ATTACHED + 1) * n]
+        moved_z += eta * columns[first + (ATTACHED + 2) * n]
+        twist += eta * columns[first + TWIST * n]
+        lean_y += eta * columns[first + LEAN_Y * n]
+        lean_z += eta * columns[first + LEAN_Z * n]
+        y, z = columns[first + (ATTACHED_INERTIA + 1) * n], columns[first + (ATTACHED_INERTIA + 2) * n]
+        held_y, held_z = held_y + (along * y - across * z), held_z + (along * z + across * y)
+        y, z = columns[first + LEAN_Y_INERTIA * n], columns[first + LEAN_Z_INERTIA * n]
+        along_y, along_z = along_y + (along * y - across * z), along_z + (along * z + across * y)
+        stretch += scale * accel * columns[first + ATTACHED_INERTIA * n]
+        stretch_y, stretch_z = stretch_y + scale * accel * y, stretch_z + scale * accel * z
+        spin += along * columns[first + TWIST * n]
+        inward += across * columns[first + TWIST * n]
+    leaning, stretched = (twist, lean_y, lean_z), (stretch, stretch_y, stretch_z)
+    return (moved_y, moved_z), leaning, (held_y, held_z), (along_y, along_z), stretched, (spin, inward)
+
+
+@kernel
+def _on_booster(first_m: float, place: Vector, turned: Vector) -> Vector:
+    """Return the vector from the first attachment to a place (station, y, z) of the booster.
+
+    `turned`: rotation of the booster about x, and its displacement along y and z per metre aft.
+    """
     aft = place[0] - first_m
-    return -aft, place[1] + aft * turned[0], place[2] + aft * turned[1]
+    return -aft, place[1] + aft * turned[1] - turned[0] * place[2], place[2] + aft * turned[2] + turned[0] * place[1]
 
 
 @kernel
@@ -233,7 +300,7 @@ def _with_engine(
     vehicle: StageRecord,
     sizes: Counts,
     n: int,
-    turned: tuple[float, float],
+    turned: Vector,
     d: Drivers,
     rate: Vector,
     alpha: Vector,
@@ -269,14 +336,7 @@ def _with_engine(
 
 @kernel
 def _with_pendulum(
-    slosh: Slosh,
-    sizes: Counts,
-    first_m: float,
-    tank: int,
-    turned: tuple[float, float],
-    at: Evaluation,
-    work: Work,
-    pull: Pull,
+    slosh: Slosh, sizes: Counts, first_m: float, tank: int, turned: Vector, at: Evaluation, work: Work, pull: Pull
 ) -> Pull:
     """Return the load on a booster with that of a pendulum: the rod's tension at its hinge, the damper at the bob."""
     own, first = record_at(work.tank, tank), pendulum_index(sizes, 0) + N_PENDULUM * tank

@@ -47,11 +47,17 @@ BOOSTER_WIDTH = 10
 # slope, as they are and without rigid motion
 HELD, SLOPE, HELD_INERTIA, SLOPE_INERTIA = 0, 1, 2, 3
 BOOSTER_ROWS = 4
+# then for each booster rows of the spatial modes: motion along x, y, z of the first attachment, rotation about x, slope
+# along y and z; then the motion along x, y, z and the slopes without rigid motion
+ATTACHED, TWIST, LEAN_Y, LEAN_Z, ATTACHED_INERTIA, LEAN_Y_INERTIA, LEAN_Z_INERTIA = 0, 3, 4, 5, 6, 9, 10
+SPATIAL_BOOSTER_ROWS = 11
 # then for each booster its loads on the core, in scratch memory only
 ALONG, FIRST_Y, FIRST_Z, COUPLE_Y, COUPLE_Z, SECOND_Y, SECOND_Z, MOVED_Y, MOVED_Z = range(9)
 AIR_FORCE, AIR_MOMENT = 0, 3  # of the air on the booster, before its loads on the core are known
 JOINT_WIDTH = 9
-MAX_BOOSTER_COLUMNS = MAX_BOOSTERS * (BOOSTER_WIDTH + 2 * BOOSTER_ROWS * MAX_MODES + JOINT_WIDTH)
+MAX_BOOSTER_COLUMNS = MAX_BOOSTERS * (
+    BOOSTER_WIDTH + (2 * BOOSTER_ROWS + SPATIAL_BOOSTER_ROWS) * MAX_MODES + JOINT_WIDTH
+)
 MAX_LOAD_COLUMNS = STATIONS + MAX_LOAD_STATIONS * (STATION_MODES + (2 * MODE_ROWS + SPATIAL_ROWS) * MAX_MODES)
 MAX_LOAD_COLUMNS += MAX_BOOSTER_COLUMNS
 

@@ -62,6 +62,14 @@ def shapes_over(table: ModeTable, times: Array, method: Method) -> ModeShapes:
     return ModeShapes(replace(table, time_s=times, phi=phi, slope_pm=slope_pm))
 
 
+def spatial_over(table: SpatialModeTable, times: Array, method: Method) -> SpatialModeTable:
+    """Return a table of spatial modes at other times."""
+    stacked = np.stack([table.displacement, table.rotation_pm], axis=1)
+    over_time = fit(table.time_s, stacked.reshape(len(table.time_s), -1), method).at(times)
+    displacement, rotation_pm = over_time.reshape(len(times), *stacked.shape[1:]).swapaxes(0, 1)
+    return replace(table, time_s=times, displacement=displacement, rotation_pm=rotation_pm)
+
+
 class _Rigid:
     """The shapes of a rigid booster that one station of the core clamps, or two stations hold at its ends."""
 
