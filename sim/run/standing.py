@@ -65,7 +65,8 @@ def _at_rest(packed: Packed, start: Array, coordinates: list[int], eta: Array) -
         twist += float(columns[first + 3 * n] * eta[len(eta) - n + mode])
     moved = (along, float(bend.moved_y_m), float(bend.moved_z_m))
     turned, spin = (twist, float(bend.slope_y_rad), float(bend.slope_z_rad)), float(p.environment.earth.rate_radps)
-    gravity = tuple(map(float, aux.air.gravitation_I_mps2))
+    g = aux.air.gravitation_I_mps2
+    gravity = (float(g[0]), float(g[1]), float(g[2]))
     at = tuple(start[Q_BI : Q_BI + 4].tolist()), tuple(start[R_I : R_I + 3].tolist())
     q, place, velocity, rate, down = _leaning(*at, straight, moved, turned, spin, gravity)
     y[Q_BI : Q_BI + 4], y[W_BI_B : W_BI_B + 3] = q, rate

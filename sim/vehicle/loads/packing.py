@@ -150,7 +150,9 @@ class _Bearer(NamedTuple):
         """Return the displacements x, y, z (3, T, M) of the CG by the rows of `in_space`."""
         aft, y, z = (self.mass.at(times - self.ignition_s)[:, 1:4] - [self.attachments_m[0], 0.0, 0.0]).T[:, :, None]
         twist, lean_y, lean_z = rows[3:]
-        return rows[:3] + np.stack([lean_y * y + lean_z * z, aft * lean_y - twist * z, aft * lean_z + twist * y])
+        return np.asarray(
+            rows[:3] + np.stack([lean_y * y + lean_z * z, aft * lean_y - twist * z, aft * lean_z + twist * y])
+        )
 
 
 class _InSpace(NamedTuple):

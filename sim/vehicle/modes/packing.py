@@ -94,7 +94,7 @@ def _softening(table: ModeTable, shapes: ModeShapes, at: Places) -> Array:
     enters forward of it times the mass of the vehicle. Masses that hang behind a section are in tension
     (docs/model.md, section 4). A booster is a rigid body that its thrust pushes and its mass pulls along its own axis.
     """
-    x, forward, total = table.station_m, table.mass_forward_kg, 0.0
+    x, forward, total = table.station_m, table.mass_forward_kg, np.zeros(())
     last_m, known = max(mount.enters_m for mount in at.mounts), bool(forward.any())
     for mount in at.mounts:
         share, ends_m = np.reshape(mount.thrust_share, (-1, 1, 1)), mount.enters_m
