@@ -1,7 +1,8 @@
 """The burns of the last stage's engine: cutoffs, coasts between burns, and ignitions.
 
 A burn ends at an orbit (orbit_guidance.py), at the value of a quantity, or when the propellant is consumed. The instant
-of a cutoff by a quantity is extrapolated from its last two samples. In a coast, the commanded attitude turns to the
+of a cutoff by a quantity is extrapolated from its last two samples. If thrust decays after the cutoff, the quantity is
+that at the end of the decay (`quantity_after_decay`). In a coast, the commanded attitude turns to the
 local horizontal along the motion. Settling thrust begins `settling_s` before the ignition. A restart may be timed from
 the apogee of the Kepler orbit. The next burn continues in the direction of the coast until its own guidance steers.
 
@@ -20,9 +21,11 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_BURNS
 from maxq.control.kernel.records import Array
 from maxq.control.orbit_guidance import (
+    STEADY,
     OrbitGuidance,
     OrbitGuidanceState,
     advance_orbit_guidance,
+    gravitation,
     level,
     start_orbit_guidance,
     steer,
@@ -67,6 +70,7 @@ class Burns:
     - `start_s`: first ignition on the vehicle clock.
     - `turns`: 1 if thrusters turn the vehicle in a coast.
     - `equator_m`: equatorial radius.
+    - `flat_mps2`: gravity of a flat Earth, along z of I.
     """
 
     count: int = 0
@@ -74,6 +78,7 @@ class Burns:
     turns: int = 0
     earth_rate_radps: float = 0.0
     equator_m: float = 0.0
+    flat_mps2: float = 0.0
     burn: Annotated[tuple[GuidedBurn, ...], (MAX_BURNS,)] = (GuidedBurn(),) * MAX_BURNS
 
 
@@ -196,18 +201,65 @@ def await_ignition(
 
 
 @kernel
+def earth_pull(burns: Burns, g: OrbitGuidance, r: vec.Vector) -> vec.Vector:
+    """Return the gravitation at `r` (m) in I, m/s2."""
+    return gravitation(g, r) if g.mu_m3ps2 > 0.0 else (0.0, 0.0, burns.flat_mps2)
+
+
+@kernel
+def measure_push(
+    burns: Burns, g: OrbitGuidance, orbit: OrbitGuidanceState, since_s: float, was: vec.Vector
+) -> vec.Vector:
+    """Return the acceleration by thrust in the middle of the next sample, m/s2, and keep its magnitude now.
+
+    `was`: velocity `since_s` ago. The mean over this time is extrapolated if it is steady.
+    """
+    gained = vec.add(vec.vector_at(orbit.velocity_mps, 0), vec.scaled(-1.0, was))
+    pull = earth_pull(burns, g, vec.vector_at(orbit.position_m, 0))
+    push = vec.add(vec.scaled(1.0 / since_s, gained), vec.scaled(-1.0, pull))
+    now_mps2, before_mps2 = vec.norm(push), orbit.acceleration_mps2
+    orbit.acceleration_mps2 = now_mps2
+    if abs(now_mps2 - before_mps2) < STEADY * now_mps2:
+        push = vec.scaled(2.0 - before_mps2 / now_mps2, push)
+    return push
+
+
+@kernel
+def quantity_after_decay(burns: Burns, burn: GuidedBurn, r: vec.Vector, v: vec.Vector, push: vec.Vector) -> float:
+    """Return the quantity at the end of a decay that begins at `r`, `v` with the acceleration `push`.
+
+    It falls linearly within the decay D, which adds `push` D / 2 to the velocity and `push` D^2 / 3 to the position.
+    Gravitation is that in the middle.
+    """
+    decay_s = 2.0 * burn.orbit.lead_s
+    pull = earth_pull(burns, burn.orbit, vec.add(r, vec.scaled(0.5 * decay_s, v)))
+    moved = vec.add(vec.scaled(0.5, pull), vec.scaled(1.0 / 3.0, push))
+    later = vec.add(r, vec.add(vec.scaled(decay_s, v), vec.scaled(decay_s * decay_s, moved)))
+    return quantity_of(burns, burn, later, vec.add(v, vec.scaled(decay_s, vec.add(pull, vec.scaled(0.5, push)))))
+
+
+@kernel
 def watch_quantity(
     burns: Burns, burn: GuidedBurn, state: BurnsState, orbit: OrbitGuidanceState, time_s: float, sample_s: float
 ) -> None:
     """Command the cutoff when the extrapolated quantity reaches its value within 1.5 samples."""
     if not math.isinf(state.cut_off_s):
         return
-    value = quantity_of(burns, burn, vec.vector_at(orbit.position_m, 0), vec.vector_at(orbit.velocity_mps, 0))
+    r, v = vec.vector_at(orbit.position_m, 0), vec.vector_at(orbit.velocity_mps, 0)
+    value = quantity_of(burns, burn, r, v)
+    if burn.orbit.lead_s > 0.0:
+        before, was = vec.vector_at(orbit.last_position_m, 0), vec.vector_at(orbit.last_velocity_mps, 0)
+        if state.last_s > -1e300:
+            push = measure_push(burns, burn.orbit, orbit, time_s - state.last_s, was)
+            value = quantity_after_decay(burns, burn, r, v, push)
+            state.last = quantity_after_decay(burns, burn, before, was, push)
+        vec.set_vector(orbit.last_position_m, 0, r)
+        vec.set_vector(orbit.last_velocity_mps, 0, v)
     missing, gained = burn.wanted - value, value - state.last
     if missing <= 0.0:
         state.cut_off_s = time_s
     elif state.last_s > -1e300 and gained > 0.0:
-        left_s = missing / gained * (time_s - state.last_s) - burn.orbit.lead_s
+        left_s = missing / gained * (time_s - state.last_s)
         if left_s < 1.5 * sample_s:
             state.cut_off_s = time_s + max(left_s, 0.0)
     state.last, state.last_s = value, time_s

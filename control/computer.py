@@ -42,15 +42,7 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw, QuaternionRow, RollPitchYaw, degrees, quaternion
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
 from maxq.control.laws.adaptive import Adaptive, AdaptiveState, augmented, start_adaptive
-from maxq.control.laws.flown import (
-    FlownLaw,
-    LawStates,
-    make_law,
-    navigate_law,
-    start_laws,
-    tick_law,
-    uses_accelerometer,
-)
+from maxq.control.laws.flown import FlownLaw, LawStates, make_law, navigate_law, start_laws, tick_law
 from maxq.control.laws.pd import LawInputs, LawRow, filtered, law_row, settle_pd
 from maxq.control.laws.pid import PidRow, pid_row
 from maxq.control.orbit_guidance import OrbitGuidanceState, start_orbit_guidance
@@ -488,7 +480,7 @@ def update_command(
     """
     error_rad, rate_radps = state.attitude.theta_e_rad[gimbal + 1], state.attitude.rate_radps[gimbal + 1]
     lateral_mps2, sample_s = 0.0, computer.sample_ns / 1.0e9
-    if computer.external == 0 and uses_accelerometer(computer.law) == 1:
+    if computer.external == 0 and computer.law.accelerometer == 1:
         force_mps2, turned_rad = state.sensors.value[computer.sensors.accelerometer], state.attitude.error_rad
         lateral_mps2 = force_mps2[2 - gimbal]
         navigate_law(computer.law, state.law, gimbal, lateral_mps2, force_mps2[0], turned_rad[gimbal + 1], sample_s)

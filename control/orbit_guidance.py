@@ -10,7 +10,8 @@ motion. Once per cycle, the four numbers and the time to go are computed from th
 Newton's method on a numerical prediction of the burn. The conditions at its end are the radius, speed and vertical
 speed of the target apsis, and zero position and speed across the plane. Gravitation is that of a flattened Earth (J2).
 The thrust is constant, with the acceleration measured over the last cycle. In the last seconds, when the position can
-no longer be controlled, the numbers are no longer updated. The engine is cut off when the orbit's energy is reached.
+no longer be controlled, the numbers are no longer updated. The engine is cut off when the orbit's energy is reached,
+the energy of the thrust's decay included.
 
 The caller supplies the navigated position and velocity (`OrbitGuidanceState`); the simulator supplies its own, without
 error.
@@ -335,7 +336,7 @@ def advance_orbit_guidance(g: OrbitGuidance, state: OrbitGuidanceState, time_s: 
                 state.phase = SEARCHING
         elif state.phase == WAITING:
             state.phase = SEARCHING
-    if state.phase == STEERING and state.solved_s + SLOPE_s * state.unknowns[4] - time_s < ENDING_s:
+    if state.phase == STEERING and state.solved_s + SLOPE_s * state.unknowns[4] - time_s < ENDING_s + g.lead_s:
         state.phase = ENDING
     if state.phase == ENDING:
         r, v = vec.vector_at(state.position_m, 0), vec.vector_at(state.velocity_mps, 0)
@@ -343,7 +344,9 @@ def advance_orbit_guidance(g: OrbitGuidance, state: OrbitGuidanceState, time_s: 
         a_mps2, u = thrust_acceleration(g, state, time_s), direction(state, state.unknowns, time_s)
         power = a_mps2 * vec.dot(u, v)
         growth = a_mps2 * a_mps2 + power * a_mps2 / g.exhaust_mps
-        wanted -= g.lead_s * (power + 0.5 * g.lead_s * a_mps2 * a_mps2)  # from the impulse after the cutoff
+        if g.lead_s > 0.0:  # energy by the impulse of the decay, and by its position, which is 2 a lead^2 / 3 behind
+            wanted -= g.lead_s * (power + 0.5 * g.lead_s * a_mps2 * a_mps2)
+            wanted -= 2.0 / 3.0 * g.lead_s * g.lead_s * a_mps2 * vec.dot(u, gravitation(g, r))
         power += g.lead_s * growth
         left_s = wanted / power if power > 0.0 else 0.0
         left_s = wanted / (power + 0.5 * growth * left_s) if power > 0.0 else 0.0

@@ -17,12 +17,13 @@ from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle import schedule as columns
-from maxq.sim.vehicle.loads.kernel import AXIAL
+from maxq.sim.vehicle.loads.columns import AXIAL
+from maxq.sim.vehicle.loads.section import SectionStations
 from maxq.tools.vehicle.beam import ELEMENTS, Beam, RigidLoad
 from maxq.tools.vehicle.build import Built, build, burning, m_delta_1ps2
 from maxq.tools.vehicle.figures import stage_bodies
 from maxq.tools.vehicle.files import write
-from maxq.tools.vehicle.layout import LayoutNozzles, LoadSections, read_layout
+from maxq.tools.vehicle.layout import LayoutNozzles, read_layout
 from maxq.tools.vehicle.masses import Rod
 
 HERON = Path(__file__).parent.parent / "scenarios" / "layouts" / "heron.toml"
@@ -32,7 +33,7 @@ HERON = Path(__file__).parent.parent / "scenarios" / "layouts" / "heron.toml"
 def built() -> Built:
     """Return the shipped layout with section loads of its core on a gravity turn, without search for an orbit."""
     layout = read_layout(HERON)
-    core = layout.stage[0].model_copy(update={"loads": LoadSections(stations_m=(16.0, 20.0, 30.0, 35.0))})
+    core = layout.stage[0].model_copy(update={"loads": SectionStations(stations_m=(16.0, 20.0, 30.0, 35.0))})
     layout = layout.model_copy(update={"stage": (core, *layout.stage[1:])})
     turn = layout.trajectory.model_copy(update={"orbit_altitude_m": None, "final_path_angle_deg": 15.0})
     return build(layout.model_copy(update={"trajectory": turn}))
@@ -225,8 +226,24 @@ def test_gimballed_boosters_steer_with_the_core(tmp_path: Path) -> None:
     assert "vehicle.stage.1.actuator.0.omega_hz.0" in keys
 
 
-def test_keys_of_a_gimbal_without_one_are_refused(tmp_path: Path) -> None:
-    text = HERON.read_text(encoding="utf-8").replace("tail_off_s = 4.0", "tail_off_s = 4.0\nangle_limit_deg = 5.0")
+@pytest.mark.parametrize(
+    ("before", "line", "says"),
+    [
+        ("tail_off_s = 4.0", "angle_limit_deg = 5.0", r"angle_limit_deg = 5\.0: has no meaning here"),
+        (
+            "modes = 4",
+            "loads.stations_m = [20.0, 36.5]",
+            r"heron\.toml: stage\.0\.loads\.stations_m\.1 = 36\.5: is behind the gimbal.*at most 36$",
+        ),
+        (
+            "modes = 4",
+            "loads.stations_m = [20.0, 20.0]",
+            r"heron\.toml: stage\.0\.loads\.stations_m.*increase strictly",
+        ),
+    ],
+)
+def test_a_wrong_key_is_refused_in_the_layout(before: str, line: str, says: str, tmp_path: Path) -> None:
+    text = HERON.read_text(encoding="utf-8").replace(before, f"{before}\n{line}")
     (tmp_path / "heron.toml").write_text(text, encoding="utf-8")
-    with pytest.raises(ScenarioError, match=r"angle_limit_deg = 5\.0: has no meaning here"):
+    with pytest.raises(ScenarioError, match=says):
         read_layout(tmp_path / "heron.toml")

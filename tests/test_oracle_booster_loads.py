@@ -8,6 +8,7 @@ equilibrium with two forces; one clamped at a station, with a force and a couple
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
@@ -18,11 +19,12 @@ from flightkit import ACTUATOR, EMPTY_SPACE, Tree, engine_states, gimbal_motions
 from scipy.interpolate import CubicHermiteSpline
 from test_oracle_boosters import AFTER, PAIR, core, solid
 from test_oracle_boosters import launcher as booster_launcher
+from test_oracle_spatial_modes import spatial_section
 
-from maxq import ScenarioError
 from maxq.control.kernel.records import Array
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.fly import fly
+from maxq.sim.vehicle import schedule
 from maxq.sim.vehicle import state as layout
 
 STATIONS_M = [3.0, 4.5, 6.5, 8.5, 9.5, 11.0, 12.0]
@@ -438,11 +440,116 @@ def test_outflow_of_turning_boosters_leaves_the_ends_free() -> None:
     assert np.abs(now.sections[0] - without.sections[0]).max() > 10.0  # there is something to balance
 
 
-def test_section_loads_of_boosters_on_spatial_modes_are_refused() -> None:
-    tree = launcher((0.0, 0.0), bent=False)
-    shape = {"phi_x": 0.0, "phi_y": 1.0, "phi_z": 0.0, "theta_x_pm": 0.0, "theta_y_pm": 0.0, "theta_z_pm": 0.0}
-    mode = {"time_s": 0.0, "mode": 1, "frequency_hz": 5.0, "generalized_mass_kg": 900.0, "mass_forward_kg": 0.0}
-    rows = [mode | shape | {"station_m": at} for at in (0.0, 12.0)]
-    tree["vehicle"]["stage"][0]["spatial_modes"] = {"table": rows, "damping_ratio": [0.01]}
-    with pytest.raises(ScenarioError, match="section loads of boosters on spatial modes are not modelled"):
-        load(tree)
+Motion = Callable[[float], tuple[float, float, float]]  # displacement along y and z, and rotation about x, at a station
+
+
+def on_booster(side: Tree, motion: Motion) -> tuple[Array, Array]:
+    """Return the displacement of a booster's first attachment, and its rotation by both and by the core's twist."""
+    first, last = side["held"][0], side["held"][-1]
+    (y, z, twist), (y_2, z_2, _) = motion(first), motion(last)
+    lean_y, lean_z = (y_2 - y) / (last - first), (z_2 - z) / (last - first)
+    return np.array([0.0, y, z]), np.array([twist, lean_z, -lean_y])
+
+
+def momenta(motion: Motion) -> Array:
+    """Return momentum along y and z and angular momentum about z and y of core and boosters in a motion."""
+    total = np.zeros(4)
+    x, m = particles(CORE_RODS)
+    moved = [(mass, at, *motion(at)[:2], 0.0, 0.0, 0.0) for at, mass in zip(x, m, strict=True)]
+    for side in SIDES.values():
+        held, turned = on_booster(side, motion)
+        for mass, place in dry_points(side, (0.0, 0.0)):
+            d = held + np.cross(turned, place - np.array([-side["held"][0], 0.0, 0.0]))
+            moved.append((mass, -place[0], d[1], d[2], d[0], *side["at"]))
+    for mass, at, y, z, along, off_y, off_z in moved:
+        total += mass * np.array([y, z, at * y + off_y * along, at * z + off_z * along])
+    return total
+
+
+def free_motions() -> list[tuple[Motion, Array]]:
+    """Return three motions without momentum and angular momentum, and their rows (phi, theta) at the grid."""
+    units: list[Motion] = [
+        lambda at: (1.0, 0.0, 0.0),
+        lambda at: (0.0, 1.0, 0.0),
+        lambda at: (at, 0.0, 0.0),
+        lambda at: (0.0, at, 0.0),
+    ]
+    matrix, rng, out = np.stack([momenta(unit) for unit in units], axis=1), np.random.default_rng(12), []
+    for _ in range(3):
+        a, b = (np.polynomial.Polynomial(np.append(0.0, c) / 6.0 ** np.arange(4)) for c in rng.normal(size=(2, 3)))
+        twist = 0.2 * rng.normal()
+        rigid = np.linalg.solve(matrix, momenta(lambda at, a=a, b=b, t=twist: (a(at), b(at), t)))  # type: ignore[misc]
+        y, z = a - np.polynomial.Polynomial(rigid[[0, 2]]), b - np.polynomial.Polynomial(rigid[[1, 3]])
+        rows = [[0.0, y(at), z(at), twist, z.deriv()(at), -y.deriv()(at)] for at in GRID_M]
+        out.append((lambda at, y=y, z=z, t=twist: (y(at), z(at), t), np.array(rows)))  # type: ignore[misc]
+    return out
+
+
+def test_loads_of_boosters_on_spatial_modes_are_sums_of_forces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pair of boosters that two stations hold; modes bend both planes and twist, and move the boosters' CG along x.
+
+    The vehicle rolls. Mean motions along x are zero by symmetry; a CG off the axis would need one of the core.
+    """
+    alike = SIDES["right"] | {"held": [10.0, 4.0], "CA": 0.0}
+    for name, sign in (("left", -1.0), ("right", 1.0)):
+        monkeypatch.setitem(SIDES, name, alike | {"at": (0.9 * sign, -0.6 * sign)})
+    motions = free_motions()
+    tree = merged(launcher((0.0, 0.0), False), {"atmosphere": {"model": "vacuum"}})
+    del tree["atmosphere"]["density_kgpm3"], tree["atmosphere"]["pressure_Pa"]
+    del tree["vehicle"]["stage"][0]["actuator"], tree["switches"]["actuator"]
+    modes = [(2.0 + k, 1500.0, 0.0, rows) for k, (_, rows) in enumerate(motions)]
+    tree["vehicle"]["stage"][0]["spatial_modes"] = spatial_section(GRID_M, np.zeros(len(GRID_M)), modes)
+    made, rng = rig(tree), np.random.default_rng(3)
+    y, first = made.packed.state, int(layout.spatial_index(made.sizes))
+    (eta, nu), p = rng.normal(0.0, [[0.01], [0.2]], (2, 3)), 0.4
+    y[layout.W_BI_B : layout.W_BI_B + 3], y[first : first + 3], y[first + 3 : first + 6] = (p, 0.0, 0.0), eta, nu
+    now = evaluate_at(made.packed, y, 0.0)
+    made.derivative(y[: made.n])
+    columns = [int(schedule.spatial_column(made.sizes, schedule.turning_row(made.sizes, j))) for j in range(3)]
+    turning = np.stack([made.props[c : c + 3] for c in columns], axis=1)
+    turns = float(now.aux.alpha_BI_B_radps2[0])
+    eta_1 = nu - p * turning @ eta
+    eta_2 = now.rate[first + 3 : first + 6] - turns * turning @ eta - p * turning @ eta_1
+
+    def bent(at: float, q: Array) -> Array:
+        return sum(amount * np.array(motion(at)) for amount, (motion, _) in zip(q, motions, strict=True))
+
+    w = Whole(made, now, y, (0.0, 0.0), False)
+    x, m = particles(CORE_RODS)
+    forces: list[tuple[float, Array, Array]] = []
+
+    def felt(d: Array, d_1: Array, d_2: Array) -> Array:
+        """Return the acceleration of a point by its displacement in axes that roll."""
+        across = np.cross([1.0, 0.0, 0.0], turns * d + 2.0 * p * d_1)
+        return np.asarray(d_2 + across - p * p * d * np.array([0.0, 1.0, 1.0]))
+
+    for at, mass in zip(x, m, strict=True):
+        place, moved = np.array([-at, *CORE_AT]), [np.array([0.0, *bent(at, q)[:2]]) for q in (eta, eta_1, eta_2)]
+        forces.append((at, place + moved[0], -mass * (w.rigid(place) + felt(*moved))))
+    for name, side in SIDES.items():
+        at_1, at_2 = side["held"]
+        motion = [on_booster(side, lambda at, q=q: tuple(bent(at, q))) for q in (eta, eta_1, eta_2)]  # type: ignore[misc]
+        held, turned = motion[0]
+        anchor, sideways = np.array([-at_1, 0.0, 0.0]), np.array([0.0, 1.0, 1.0])
+        joint, total, moment = anchor + held, np.zeros(3), np.zeros(3)
+        loads = []
+        for mass, place in dry_points(side, (0.0, 0.0)):
+            moved = [shift + np.cross(turn, place - anchor) for shift, turn in motion]
+            loads.append((place, -mass * (w.rigid(place) + felt(*moved))))
+        direction = axis_motion(np.zeros((2, 3)), tuple(np.radians([0.7, -0.4])))[0]
+        push = THRUST_N[name] * (direction + np.cross(turned, direction))
+        loads.append((np.array([-side["gimbal"], *side["at"]]), push))
+        for place, force in loads:
+            there = place + (held + np.cross(turned, place - anchor)) * sideways
+            total, moment = total + force, moment + np.cross(there - joint, force)
+        other = np.array([0.0, -moment[2] / (at_2 - at_1), moment[1] / (at_2 - at_1)])
+        forces += [(at_1, joint, total - other), (at_2, np.array([-at_2, 0.0, 0.0]), other)]
+    rows = []
+    for station in STATIONS_M:
+        cut = np.array([-station, *bent(station, eta)[:2]])
+        ahead = [(place, force) for at, place, force in forces if at <= station]
+        turning_by = sum((np.cross(place - cut, force) for place, force in ahead), np.zeros(3))
+        rows.append([*sum((force for _, force in ahead), np.zeros(3)), *turning_by[1:]])
+    largest = np.abs(rows).max(axis=0)
+    assert (largest > 1e3).all()
+    np.testing.assert_allclose(now.sections / largest, np.array(rows) / largest, rtol=0.0, atol=1e-9)

@@ -5,6 +5,7 @@
 | core and boosters with their own propellant, ignition, burnout and separation | the rocket equation |
 | off-axis liquid in a booster held at two stations of a bent core | Lagrange |
 | thrust, drag and lift of a single booster | sums of moments about the CG, with products of inertia |
+| softening of a core behind an attachment, and by a rigid booster | work of all forces and particles |
 | a separation while core, liquid, engine and modes move | the motion of each particle, before and after |
 | the linear model, with boosters and after them | the difference of two flights |
 """
@@ -257,6 +258,89 @@ def test_liquid_off_the_axis_of_a_bent_core_agrees_with_lagrange() -> None:
     y = to_simulator(made, random_state(rng, 2))
     theirs = multibody_sympy.accelerations(vehicle, to_oracle(made, y))
     assert worst(accelerations(made, y), theirs) < 1e-10
+
+
+SHAPES = (np.polynomial.Polynomial([1.0, -0.5, 0.04, 0.0]), np.polynomial.Polynomial([0.3, 0.4, -0.12, 0.006]))
+MODAL_KG, FIRST_M, SECOND_M = 500.0, 4.0, 10.0
+
+
+def bent_launcher(soft: bool, carries: bool) -> Tree:
+    """Return a core of uniform mass from 0 to 12 m that carries two boosters at 4 m, with liquid, and at 10 m.
+
+    Without boosters, the thrust of fixed engines enters at 7.5 m in addition to that at 12 m.
+    """
+    stations = np.array([0.0, 2.0, FIRST_M - 1e-6, FIRST_M, 7.0, SECOND_M, 12.0])
+    pair = [copy.deepcopy(each) | {"attachments_m": [FIRST_M, SECOND_M]} for each in PAIR]
+    for each in pair:
+        each["mass"] = {key: value for key, value in each["mass"].items() if key not in ("mass_flow_kgps", "burn_s")}
+        liquid = {"time_s": 0.0, "slosh_mass_kg": 200.0, "pendulum_length_m": 0.5, "hinge_station_m": 6.5}
+        each["tank"] = [{"table": [liquid], "damping_ratio": 0.0}]
+    stage = core({}, pair if carries else [])
+    stage["mass"] = {key: value for key, value in stage["mass"].items() if key not in ("mass_flow_kgps", "burn_s")}
+    stage["engine"] |= {"gimballed_mass_kg": 150.0, "cg_from_gimbal_m": 0.6, "inertia_about_gimbal_kgm2": 90.0}
+    stage["engine"] |= {"gimbal_station_m": 12.0, "exit_station_m": 13.0, "gimbal": "both"}
+    if not carries:
+        stage["engine"] = [stage["engine"], engine(240e3, 60.0, 7.5)]
+    forward = 3850.0 * stations / 12.0 + 2000.0 * (stations >= FIRST_M) * carries
+    rows = []
+    for n, shape in enumerate(SHAPES, start=1):
+        mode = {"time_s": 0.0, "mode": n, "frequency_hz": 3.0 * n, "generalized_mass_kg": MODAL_KG}
+        for x, m in zip(stations, forward, strict=True):
+            place = {"station_m": float(x), "phi": float(shape(x)), "slope_pm": float(shape.deriv()(x))}
+            rows.append(mode | place | {"mass_forward_kg": float(m)})
+    stage["bending"] = {"pitch": rows, "damping_ratio": [0.0, 0.0]}
+    return launcher(stage, switches={"bending_softening": soft}, run={"duration_s": 10.0})
+
+
+def axial_work(eta: Array, carries: bool) -> float:
+    """Return the work of thrust and axial inertia on the bent vehicle, per axial acceleration, to second order, kg m.
+
+    A point aft of a bent length moves forward by half the integral of the squared slope. A booster turns about its
+    first attachment as its second one demands.
+    """
+    s = np.linspace(0.0, 12.0, 120001)
+    slope = sum(e * shape.deriv()(s) for e, shape in zip(eta, SHAPES, strict=True))
+    nearer = np.concatenate([[0.0], np.cumsum(0.25 * (slope[1:] ** 2 + slope[:-1] ** 2) * np.diff(s))])
+    particles = np.full(len(s), 3850.0 / 120000.0)
+    particles[[0, -1]] *= 0.5
+    ends = [sum(e * shape(x) for e, shape in zip(eta, SHAPES, strict=True)) for x in (FIRST_M, SECOND_M)]
+    lean = (ends[1] - ends[0]) / (SECOND_M - FIRST_M)
+
+    def of_booster(x: float) -> float:
+        return float(np.interp(FIRST_M, s, nearer)) + 0.5 * lean**2 * (x - FIRST_M)
+
+    mass, thrust = 6000.0 if carries else 4000.0, np.array([110e3, 120e3, 120e3])
+    accel = thrust.sum() / mass
+    work = thrust[0] / accel * nearer[-1] - particles @ nearer
+    work -= 150.0 * (nearer[-1] + 0.5 * slope[-1] ** 2 * 0.6)  # the engine behind its gimbal
+    if not carries:
+        return float(work + 240e3 / accel * np.interp(7.5, s, nearer))
+    dry_m = (1000.0 * 8.0 - 200.0 * 7.0) / 800.0
+    for push in thrust[1:]:
+        work += push / accel * of_booster(10.0) - 800.0 * of_booster(dry_m) - 200.0 * of_booster(6.5)
+    return float(work)
+
+
+@pytest.mark.parametrize("carries", [True, False], ids=["boosters", "two stations of gimbals"])
+def test_boosters_push_and_hang_on_a_bent_core(carries: bool) -> None:
+    """The core carries the mass forward less the boosters' thrust behind the first attachments, in part in tension."""
+    pulled = []
+    for soft in (True, False):
+        made = rig(bent_launcher(soft, carries))
+        first, columns = int(layout.eta_index(made.sizes)), []
+        for n in range(2):
+            y = made.y.copy()
+            ends = []
+            for side in (1.0, -1.0):
+                y[first + n] = side * 1e-3
+                ends.append(made.derivative(y)[first + 2 : first + 4].copy())
+            columns.append((ends[0] - ends[1]) / 2e-3)
+        pulled.append(np.array(columns).T)
+    softening = MODAL_KG * (pulled[0] - pulled[1]) / (350e3 / (6000.0 if carries else 4000.0))
+    units = [(1.0, 0.0), (0.0, 1.0), (1.0, 1.0)]
+    (a, b, both) = (2.0 * axial_work(np.array(unit), carries) for unit in units)
+    wanted = np.array([[a, 0.5 * (both - a - b)], [0.5 * (both - a - b), b]])
+    np.testing.assert_allclose(softening, wanted, rtol=1e-6, atol=1e-6 * np.abs(wanted).max())
 
 
 def dropped(a: tuple[float, float] = (0.3, -0.04), instant_s: float = 2e-6) -> Tree:

@@ -194,15 +194,12 @@ def check_hinges(made: Rig, y: Array, w: Array, accel: Array, alpha: Array, bend
         felt = accel + np.cross(alpha, at) + np.cross(w, np.cross(w, at)) + 2.0 * np.cross(w, v) - arm * d2
         lever = np.array([0.0, *e["offset_m"]]) if any(e.get("cant_deg", [0, 0])) else np.zeros(3)
         felt = felt + shift + np.cross(turn, lever - arm * d0)
-        turning = alpha + turn + np.cross(d, d2)
+        turning = alpha + turn + np.cross(d, d2) + np.cross(w, np.cross(d, d1))
         for plane in range(2):
             if e.get("gimbal", "both") not in ("both", ("pitch", "yaw")[plane]):
                 assert made.aux.tvc_loads.swing[2 * n + plane].accel_radps2 == 0.0
                 continue
             work = mass * felt @ (-arm * by[plane]) + own * turning @ np.cross(d, by[plane])
-            work += (
-                2.0 * own * w @ np.cross(d1, by[plane])
-            )  # by Lagrange, the engine's roll about its own axis left out
             # what the axial load does through the gimbal's slope is left to the caller
             assert made.aux.tvc_loads.hinge_moment_Nm[2 * n + plane] == pytest.approx(work, rel=1e-9)
             assert abs(made.aux.tvc_loads.swing[2 * n + plane].accel_radps2) > 1.0

@@ -3,6 +3,7 @@
 | quantity | oracle |
 |---|---|
 | command of the computer, with and without an integral, in pitch and yaw | cumulative sums |
+| commands with the names of the laws in another order | the same oracles |
 | drift of a given plant: response, state space, sampling with a delay of several samples | its own states, exact kind |
 | a kick in flight; the lower gain margin of a held flight | the sampled loop |
 | loops of all axes | the loops of both planes |
@@ -12,6 +13,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -95,6 +99,24 @@ def test_command_is_pd_and_the_integrated_acceleration_behind_the_filter(law: An
         for b0, b1, b2, a1, a2 in discrete.sections:
             wanted = lfilter([b0, b1, b2], [1.0, a1, a2], wanted)
         np.testing.assert_allclose(np.array(flown)[:, gimbal], wanted, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_the_order_of_the_laws_names_decides_nothing() -> None:
+    """Repeat the commands of all kinds of laws with the list of their names reversed."""
+    script = """
+from maxq.control import structures
+structures.LAWS = structures.LAWS[::-1]
+import test_oracle_drift as drift, test_oracle_load_relief as relief, test_oracle_pid as pid
+drift.test_command_is_pd_and_the_integrated_acceleration_behind_the_filter("drift", drift.PLAIN)
+drift.test_command_is_pd_and_the_integrated_acceleration_behind_the_filter("pid-drift", drift.WITH_INTEGRAL)
+relief.test_command_is_pd_and_the_filtered_acceleration_behind_the_filter()
+pid.test_command_is_the_sum_of_three_terms_behind_the_filter()
+"""
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    command, folder = [sys.executable, "-c", script], Path(__file__).parent
+    ran = subprocess.run(command, cwd=folder, env=environment, capture_output=True, check=False, text=True)
+    assert ran.returncode == 0, ran.stderr
 
 
 # --- the path of a given plant

@@ -26,7 +26,7 @@ from maxq.design.quantities import LoopLimits
 from maxq.design.verify.certified import measured_requirements
 from maxq.design.verify.flown import flight_requirements, fly_alone
 from maxq.design.verify.suite import SuiteFlight
-from maxq.sim.run.held_code import command_offset
+from maxq.sim.run.held_code import HeldCode, command_offset
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 
 NODE_S, GAIN = 40.0, 1.8
@@ -190,6 +190,25 @@ def test_without_deviations_the_inputs_are_those_of_the_flight(tmp_path: Path) -
     for row in range(first, first + 1000):
         superpose(rows, row, still, 0, 1.0, state, out)
         assert out.tobytes() == rows[row : row + 1].tobytes()
+
+
+def test_a_window_from_the_first_sample_begins_with_the_error_of_alignment(tmp_path: Path) -> None:
+    """Half the rotation of 0.3, -0.2 and 0.5 deg is the vector part; the inputs without deviations are the tape's."""
+    code, wrong = library(tmp_path, tested="1"), "navigation.alignment_error_deg=[0.3, -0.2, 0.5]"
+    flies_on = loaded(code, "library", "run.duration_s=4", "vehicle.computer.attitude='quaternion'", wrong)
+    at = held(flies_on, 2.0)
+    assert at.tape is not None
+    windows = at.windows(at.tape, at.packed)
+    np.testing.assert_allclose(at.tape.start_q_BR[1:], 0.5 * np.radians([0.3, -0.2, 0.5]), rtol=1e-5)
+    computer = flies_on.vehicle.computer
+    assert computer is not None
+    held_code, still = HeldCode(computer, windows, lambda: None), blank(FswInputs)
+    still["health"] = 7
+    held_code._start_deviations(0)
+    for row in range(100):
+        superpose(held_code._inputs, row, still, 0, 1.0, held_code._state, held_code._out)
+        assert held_code._out.tobytes() == at.tape.inputs[row : row + 1].tobytes()
+    held_code.close()
 
 
 @pytest.mark.slow

@@ -4,6 +4,8 @@
 |---|---|
 | deflection on a tilted pad under the beam's own weight | finite elements with geometric stiffness |
 | frequencies on the pad | eigenvalues of the clamped finite elements |
+| frequencies of spatial modes on the pad | Lagrange in the motions that leave the tail at rest |
+| start of the flight | static deflection of the finite elements; nothing moves until the release |
 | motion on the pad and after the release | Lagrange's equations of the modes, by DOP853 |
 """
 
@@ -17,10 +19,11 @@ import pytest
 from flightkit import Rig, Tree, load, merged, rig
 from oracles.multibody_system import rotation_from_quaternion
 from scipy.integrate import solve_ivp
-from scipy.linalg import eigh
+from scipy.linalg import block_diag, eigh, null_space
 from test_oracle_section_loads import LENGTH_M, NODES, a_beam, beam_vehicle, forward_kg, of_modes, wind_on
+from test_oracle_spatial_modes import spatial_section
 
-from maxq import ScenarioError
+from maxq import FlightRun, ScenarioError
 from maxq.control.kernel.records import Array
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout
@@ -100,6 +103,32 @@ def test_a_column_that_leans_on_its_clamp_bends_as_finite_elements_do() -> None:
     assert np.abs(pad.shape(eta) - expected).max() < 1e-4 * largest
 
 
+def test_a_leaning_column_stands_still_until_its_release() -> None:
+    """Its deflection is that of finite elements, and 0.2 s on the pad change it by less than a ten-thousandth."""
+    count, pitch = 6, math.radians(80.0)
+    more = {"run": {"step_s": 0.0005, "duration_s": 0.3, "stop_at": []}, "earth": {"gravity": "uniform"}}
+    tree = on_the_pad(count, 80.0, **more)
+    pad, arm = Clamped(tree, count), float(tree["vehicle"]["stage"][0]["mass"]["x_cg_m"]) - LENGTH_M
+    straight = pad.made.packed.state.copy()
+    run, place, gravity = FlightRun(pad.made.loaded, log=False), of_modes(pad.made), 9.80665
+    begun = run.packed.state.copy()
+    run.fly_segment(200_000_000)
+    kg, modes = forward_kg(a_beam()), leaning(count)
+    middle_kg = 0.5 * (kg[1:] + kg[:-1] - a_beam().point_kg[1:])
+    k, m = a_beam(-gravity * math.sin(pitch) * middle_kg).matrices()
+    load = m @ np.tile([gravity * math.cos(pitch), 0.0], NODES)
+    expected = modes @ np.linalg.solve(modes.T @ k[FREE, FREE] @ modes, modes.T @ load[FREE])
+    largest = np.abs(expected[0::2]).max()
+    assert largest > 1e-3
+    assert np.abs(pad.shape(begun[place]) - np.append(expected[0::2], 0.0)).max() < 1e-4 * largest
+    assert np.abs(run.packed.state[place] - begun[place]).max() < 1e-4 * np.abs(begun[place]).max()
+    tail = []
+    for y in (straight, begun, run.packed.state):
+        turn, eta = rotation_from_quaternion(y[layout.Q_BI : layout.Q_BI + 4]), y[place]
+        tail.append(y[layout.R_I : layout.R_I + 3] + turn @ np.array([arm, 0.0, pad.phi[:, -1] @ eta]))
+    assert np.abs(np.array(tail) - tail[0]).max() < 1e-6 * largest
+
+
 def test_modes_on_the_pad_are_those_of_a_cantilever() -> None:
     """The modes are those of finite elements in the span of the leaning modes, which converges as 1 / count."""
     k, m = a_beam().matrices()
@@ -115,6 +144,67 @@ def test_modes_on_the_pad_are_those_of_a_cantilever() -> None:
     assert (2.0 * found[12] - found[6])[:2] == pytest.approx(whole[:2], rel=5e-3)
     assert found[12][0] == pytest.approx(1.08 * whole[0], rel=1e-2)
     assert whole[0] < 0.3 * a_beam().modes(1)[0][0]
+
+
+SPATIAL_KG, SPATIAL_HZ, TAIL = (900.0, 500.0, 700.0, 400.0), (2.0, 3.1, 4.4, 6.0), 1
+
+
+def spatial_column(pitch_deg: float, **more: Any) -> tuple[Tree, Array]:
+    """Return a clamped vehicle with four modes that bend in both planes, twist and stretch, and their tail (4, 6)."""
+    tree = on_the_pad(2, pitch_deg, **more)
+    stage = tree["vehicle"]["stage"][0]
+    del stage["bending"]
+    stage["mass"] |= {"y_cg_m": 0.2, "z_cg_m": -0.1}
+    stage["mass"]["inertia_kgm2"] = np.array(stage["mass"]["inertia_kgm2"]) + np.diag([2000.0, 0.0, 0.0])
+    shapes = np.random.default_rng(8).normal(size=(4, 2, 6)) * np.array([0.3, 1.0, 1.0, 0.1, 0.1, 0.1])
+    lean = (shapes[:, 1:] - shapes[:, :1]) / LENGTH_M
+    shapes[:, :, 4], shapes[:, :, 5] = lean[:, :, 2], -lean[:, :, 1]
+    modes = [(hz, kg, 0.0, shape) for hz, kg, shape in zip(SPATIAL_HZ, SPATIAL_KG, shapes, strict=True)]
+    stage["spatial_modes"] = spatial_section(np.array([0.0, LENGTH_M]), np.zeros(2), modes)
+    return tree, shapes[:, TAIL]
+
+
+def test_a_clamp_holds_spatial_modes_in_all_six_directions() -> None:
+    """Oracle: modes and rigid body in the space of motions without one of the tail."""
+    tree, tail = spatial_column(90.0)
+    made, mass = rig(tree), tree["vehicle"]["stage"][0]["mass"]
+    x, y, z = mass["x_cg_m"] - LENGTH_M, -mass["y_cg_m"], -mass["z_cg_m"]
+    arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    kept = np.block([[np.eye(3), -arm, tail[:, :3].T], [np.zeros((3, 3)), np.eye(3), tail[:, 3:].T]])
+    inertia = block_diag(mass["mass_kg"] * np.eye(3), mass["inertia_kgm2"], np.diag(SPATIAL_KG))
+    stiffness = np.diag([0.0] * 6 + list(np.array(SPATIAL_KG) * (2.0 * np.pi * np.array(SPATIAL_HZ)) ** 2))
+    free = null_space(kept)
+    expected = eigh(free.T @ stiffness @ free, free.T @ inertia @ free, eigvals_only=True)
+    first, columns = int(layout.spatial_index(made.sizes)), []
+    for n in range(4):
+        rates = []
+        for side in (1e-5, -1e-5):
+            state = made.packed.state.copy()
+            state[first + n] = side
+            rates.append(evaluate_at(made.packed, state, 0.0).rate[first + 4 : first + 8].copy())
+        columns.append((rates[1] - rates[0]) / 2e-5)
+    found = np.sort(np.linalg.eigvals(np.array(columns).T).real)
+    np.testing.assert_allclose(found, expected, rtol=1e-7)
+    assert np.sqrt(found[0]) < 0.9 * 2.0 * np.pi * SPATIAL_HZ[0]
+
+
+def test_spatial_modes_stand_still_on_a_leaning_pad() -> None:
+    run = {"step_s": 0.001, "duration_s": 0.4, "stop_at": []}
+    tree, tail = spatial_column(80.0, run=run, earth={"gravity": "uniform"})
+    made = rig(tree)
+    first, straight = int(layout.spatial_index(made.sizes)), made.packed.state.copy()
+    flight = FlightRun(made.loaded, log=False)
+    begun = flight.packed.state.copy()
+    flight.fly_segment(100_000_000)
+    bent = begun[first : first + 4]
+    assert np.abs(bent).max() > 1e-3
+    np.testing.assert_allclose(flight.packed.state[first : first + 4], bent, rtol=0.0, atol=1e-5 * np.abs(bent).max())
+    mass, places = tree["vehicle"]["stage"][0]["mass"], []
+    arm = np.array([mass["x_cg_m"] - LENGTH_M, -mass["y_cg_m"], -mass["z_cg_m"]])
+    for y in (straight, begun):
+        turn = rotation_from_quaternion(y[layout.Q_BI : layout.Q_BI + 4])
+        places.append(y[layout.R_I : layout.R_I + 3] + turn @ (arm + y[first : first + 4] @ tail[:, :3]))
+    np.testing.assert_allclose(places[1], places[0], rtol=0.0, atol=1e-9)
 
 
 def test_motion_on_the_pad_and_after_the_release() -> None:

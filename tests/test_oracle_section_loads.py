@@ -21,7 +21,7 @@ from oracles.beam_frame import Beam
 from maxq.control.kernel.records import Array
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle.loads.kernel import AXIAL, MOMENT_Y, MOMENT_Z, SHEAR_Y, SHEAR_Z
+from maxq.sim.vehicle.loads.columns import AXIAL, MOMENT_Y, MOMENT_Z, SHEAR_Y, SHEAR_Z
 
 ON = {"section_loads": True, "actuator": "ideal"}
 AIR = {"model": "constant", "density_kgpm3": 1.2}

@@ -14,7 +14,7 @@ from flightkit import Mode, Parts, Rig, Tank, Tree, rig, scenario_of, with_stage
 from maxq.control.kernel.records import Array
 from maxq.sim.run.evaluate import Instant, evaluate_at
 from maxq.sim.vehicle import state as layout
-from maxq.sim.vehicle.loads.kernel import AXIAL, MOMENT_Y, MOMENT_Z, SHEAR_Y, SHEAR_Z
+from maxq.sim.vehicle.loads.columns import AXIAL, MOMENT_Y, MOMENT_Z, SHEAR_Y, SHEAR_Z
 
 GIMBAL_M, ENGINE_KG, ENGINE_M = 12.0, 250.0, 12.6
 RODS = ((0.5, 6.0, 900.0), (6.0, 12.0, 1400.0))  # front and rear station, kg

@@ -36,7 +36,7 @@ from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.evaluate import evaluate_at
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.vehicle.loads.kernel import MOMENT_Z
+from maxq.sim.vehicle.loads.columns import MOMENT_Z
 
 TOLERANCE = 1e-8
 ON = "switches.section_loads=true"

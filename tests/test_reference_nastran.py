@@ -16,7 +16,7 @@ from maxq import LoadedScenario, ScenarioError
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.sim.vehicle.engine.packing import Mount
 from maxq.sim.vehicle.modes.nastran import read_nastran, spatial_columns
-from maxq.sim.vehicle.modes.packing import _softening_up_to
+from maxq.sim.vehicle.modes.packing import Places, _softening
 from maxq.sim.vehicle.modes.shapes import ModeShapes
 
 DATA = Path(__file__).parent / "data" / "nastran"
@@ -168,9 +168,8 @@ def test_lumped_masses_soften_the_modes_and_are_checked(tmp_path: Path) -> None:
     np.testing.assert_allclose(modes.mass_kg[0], LUMPS_KG, rtol=1e-6)
     np.testing.assert_allclose(modes.roll_inertia_kgm2[0], ROLLING_KGM2, rtol=1e-5)
     # of the first pair together, along y and z: integral of 300 x phi'^2, phi the beam's shape by its own slopes
-    mount = Mount(14.0, 1.0, 0.0)
-    planes = modes.lateral()
-    softening = sum(_softening_up_to(plane, ModeShapes(plane), mount) for plane in planes)[0]
+    planes, places = modes.lateral(), Places((Mount(14.0, 1.0),), 0.0, (), (), mass_kg=(4200.0,))
+    softening = sum(_softening(plane, ModeShapes(plane), places) for plane in planes)[0]
     fine, pair = np.linspace(0.0, 14.0, 20001), sum(plane.slope_pm[0, 0] ** 2 for plane in planes)
     root = 4.730040744862704 / 14.0
     k = (np.cosh(14.0 * root) - np.cos(14.0 * root)) / (np.sinh(14.0 * root) - np.sin(14.0 * root))

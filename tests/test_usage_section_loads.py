@@ -18,7 +18,7 @@ from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.flight.metric_table import METRICS, SectionMetrics
 from maxq.sim.run.fly import fly, logged_channels
 from maxq.sim.scenario.loader import load_scenario
-from maxq.sim.vehicle.loads.kernel import KINDS
+from maxq.sim.vehicle.loads.columns import KINDS
 from maxq.sim.vehicle.loads.section import BORNE
 from maxq.sim.vehicle.state import Sizes
 

@@ -24,23 +24,24 @@ from maxq.control.laws.load_relief import (
 )
 from maxq.control.laws.pd import LawInputs, PdRecord, PdState, make_pd, start_pd, tick_pd
 from maxq.control.laws.pid import Pid, PidState, start_pid, tick_pid
-from maxq.control.structures import DRIFT, LAWS, RELIEF, Law
+from maxq.control.structures import DRIFT, INTEGRAL, LAWS, RELIEF, Law
 
-_PID, _LOAD_RELIEF, _INCIDENCE_RELIEF, _PID_DRIFT = map(
-    LAWS.index, ("pid", "load-relief", "incidence-relief", "pid-drift")
-)
-_FIRST_WITH_ACCELEROMETER = min(LAWS.index(name) for name in (*RELIEF, *DRIFT))
-_FIRST_WITH_DRIFT = min(LAWS.index(name) for name in DRIFT)
+_LOAD_RELIEF, _INCIDENCE_RELIEF = map(LAWS.index, RELIEF)
 
 
 @dataclass(frozen=True)
 class FlownLaw:
-    """The parameters of the law that flies: its index `kind` into `LAWS` of structures.py, and those of its parts.
+    """The parameters of the law that flies, and those of its parts.
 
-    `pd` holds the gains and the bending filters of every law.
+    - `kind`: index into `LAWS` of structures.py.
+    - `accelerometer`, `integral`, `drift`: 1 if the law has this part (`RELIEF`, `INTEGRAL` and `DRIFT` there).
+    - `pd`: gains and bending filters of every law.
     """
 
     kind: int
+    accelerometer: int
+    integral: int
+    drift: int
     pd: PdRecord
     pid: Pid
     relief: LoadRelief
@@ -72,6 +73,9 @@ def make_law(
     """
     return FlownLaw(
         kind=LAWS.index(law),
+        accelerometer=int(law in (*RELIEF, *DRIFT)),
+        integral=int(law in INTEGRAL),
+        drift=int(law in DRIFT),
         pd=make_pd(gains, sample_ns, *filters, moving=moving),
         pid=Pid(integral_limit_rad),
         relief=LoadRelief(lag_share(relief_hz, sample_ns / 1.0e9)),
@@ -88,12 +92,6 @@ def start_laws(law: FlownLaw, state: LawStates) -> None:
 
 
 @kernel
-def uses_accelerometer(law: FlownLaw) -> int:
-    """Return 1 if the law reads the accelerometer, else 0."""
-    return 1 if law.kind >= _FIRST_WITH_ACCELEROMETER else 0
-
-
-@kernel
 def navigate_law(
     law: FlownLaw,
     state: LawStates,
@@ -104,7 +102,7 @@ def navigate_law(
     sample_s: float,
 ) -> None:
     """Integrate the specific force of a sample for a law with feedback of the drift (`navigate_drift`)."""
-    if law.kind >= _FIRST_WITH_DRIFT:
+    if law.drift == 1:
         navigate_drift(state.drift, gimbal, lateral_mps2, axial_mps2, error_rad, sample_s)
 
 
@@ -115,9 +113,8 @@ def tick_law(law: FlownLaw, pool: Array, state: LawStates, given: LawInputs) -> 
         return tick_load_relief(law.pd, law.relief, pool, state.pd, state.relief, given)
     if law.kind == _INCIDENCE_RELIEF:
         return tick_incidence_relief(law.pd, law.relief, pool, state.pd, state.relief, given)
-    if law.kind >= _FIRST_WITH_DRIFT:
-        with_integral = 1 if law.kind == _PID_DRIFT else 0
-        return tick_drift(law.pd, law.pid, pool, state.pd, state.pid, state.drift, given, with_integral)
-    if law.kind == _PID:
+    if law.drift == 1:
+        return tick_drift(law.pd, law.pid, pool, state.pd, state.pid, state.drift, given, law.integral)
+    if law.integral == 1:
         return tick_pid(law.pd, law.pid, pool, state.pd, state.pid, given)
     return tick_pd(law.pd, pool, state.pd, given)

@@ -41,7 +41,8 @@ from maxq.sim.run.evaluate import Space
 from maxq.sim.vehicle import state as states
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts, counts
 from maxq.sim.vehicle.derivative import derive_properties
-from maxq.sim.vehicle.loads.kernel import MOMENT_Y, MOMENT_Z, SECTION_WIDTH, evaluate_sections
+from maxq.sim.vehicle.loads.columns import MOMENT_Y, MOMENT_Z, SECTION_WIDTH
+from maxq.sim.vehicle.loads.kernel import evaluate_sections
 from maxq.sim.vehicle.workspace import Evaluation, Work
 
 PLACE, VELOCITY, TURN, RATE, FLAT = 0, 3, 6, 9, 12  # first indices of the coordinates

@@ -106,13 +106,13 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
     changed = 0
     burnout_ns = p.timeline.burnout_ns + clock.idle_ns
     cut_off = 0 < clock.cut_off_ns <= now
-    if p.timeline.decay_ns > 0 and clock.cut_off_ns == now:
+    if clock.decay_ns > 0 and clock.cut_off_ns == now:
         clock.fresh = 1
     if held.burning == 0 and p.timeline.burn_start_ns <= now < burnout_ns and not cut_off:
         held.burning = 1
         changed = 1
     if cut_off:  # thrust decays without flow, hence beyond the burnout
-        burnout_ns = clock.cut_off_ns + p.timeline.decay_ns
+        burnout_ns = clock.cut_off_ns + clock.decay_ns
     if held.burning == 1 and now >= burnout_ns:
         burn_out(p, memory, y)
         changed = 1
@@ -233,6 +233,7 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
         burning = memory.held.burning == 1 and burns.coasting == 0
         if not math.isinf(burns.cut_off_s) and clock.cut_off_ns == 0 and burning:
             clock.cut_off_ns = max(round(1e9 * burns.cut_off_s), now + 1)
+            clock.decay_ns = p.timeline.decay_ns
         waits = burns.coasting == 1 and clock.cut_off_ns > 0
         if not math.isinf(burns.ignite_s) and waits and clock.ignite_ns == 0:
             clock.ignite_ns = max(round(1e9 * burns.ignite_s), now + 1)
@@ -293,7 +294,7 @@ def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> in
         clock.next_sample_ns,
         clock.command_due_ns,
         clock.cut_off_ns,
-        clock.cut_off_ns + timeline.decay_ns if clock.cut_off_ns > 0 else NEVER,
+        clock.cut_off_ns + clock.decay_ns if clock.cut_off_ns > 0 else NEVER,
         clock.ignite_ns,
         clock.next_gust_ns,
         memory.faults.next_ns,

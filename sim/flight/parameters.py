@@ -15,7 +15,7 @@ from maxq.sim.flight.metric_table import N_METRICS
 from maxq.sim.flight.navigation import Navigation, NavigationMemory
 from maxq.sim.vehicle.derivative import Held, StageInputs, StageRecord
 from maxq.sim.vehicle.environment import Environment
-from maxq.sim.vehicle.loads.kernel import Loads, SectionLoads
+from maxq.sim.vehicle.loads.columns import Loads, SectionLoads
 from maxq.sim.world.gust_history import GustHistory
 from maxq.sim.world.turbulence import TurbulenceState
 
@@ -90,6 +90,7 @@ class Clock:
     next_sample_ns: int
     command_due_ns: int  # instant at which the pending command takes effect
     cut_off_ns: int  # engine cutoff by the guidance, which stops the schedule; 0: none
+    decay_ns: int  # of the thrust after this cutoff, by the stage that commanded it
     ignite_ns: int  # restart by the guidance; 0: none
     idle_ns: int  # total time between cutoffs and restarts, in which the schedule was stopped
     pending_rad: Annotated[Array, (2 * MAX_ENGINES,)]

@@ -36,7 +36,7 @@ from maxq.sim.vehicle.block import Q_BI, R_I, V_I, Counts, counts
 from maxq.sim.vehicle.derivative import derivative, derive_properties
 from maxq.sim.vehicle.engine.kernel import EngineOutputs
 from maxq.sim.vehicle.environment import CROSSFLOW_PART
-from maxq.sim.vehicle.loads.kernel import MAX_LOAD_COLUMNS
+from maxq.sim.vehicle.loads.columns import MAX_LOAD_COLUMNS
 from maxq.sim.vehicle.slosh.kernel import bob_mass
 from maxq.sim.vehicle.workspace import PROPERTIES_SIZE, Aux, Evaluation, Work
 from maxq.sim.world.gust_history import gust_behind
@@ -100,7 +100,7 @@ def read_schedule(p: Parameters, pool: Array, memory: Memory, now_ns: int, elaps
     if 0 < memory.clock.cut_off_ns <= now_ns:
         stop_flow(counts(p.vehicle.sizes), properties)
     derive_properties(p.vehicle, pool, clock_s, properties)
-    decay_ns, since_cutoff_ns = p.timeline.decay_ns, now_ns - memory.clock.cut_off_ns
+    decay_ns, since_cutoff_ns = memory.clock.decay_ns, now_ns - memory.clock.cut_off_ns
     if decay_ns > 0 and memory.clock.cut_off_ns > 0 and since_cutoff_ns >= 0:
         left = max(1.0 - (since_cutoff_ns + 1e9 * elapsed_s) / decay_ns, 0.0)
         sizes = counts(p.vehicle.sizes)

@@ -33,7 +33,7 @@ from maxq.sim.scenario.schema_design import AdaptiveSection, Design, FilterSecti
 from maxq.sim.scenario.schema_launch import Cutoff, OrbitTarget, Restart
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
-from maxq.sim.world.earth import J2, Earth, STANDARD_GRAVITY_mps2
+from maxq.sim.world.earth import FLAT, INVERSE_SQUARE, J2, UNIFORM, Earth, STANDARD_GRAVITY_mps2
 
 COAST_RATE_degps = 3.0  # limit of the commanded attitude rate without closed-loop guidance
 _WHERE = {
@@ -204,6 +204,7 @@ def pack_burns(scenario: Scenario, stage: Stage, ignition_ns: int) -> Burns:
         turns=int(len(burns) > 1 and thrusters is not None and thrusters.pitch_yaw_torque_Nm is not None),
         earth_rate_radps=earth.rate_radps,
         equator_m=earth.equatorial_radius_m,
+        flat_mps2=earth.uniform_mps2 if (earth.figure, earth.gravity) == (FLAT, UNIFORM) else 0.0,
         burn=(*burns, *[GuidedBurn()] * (MAX_BURNS - len(burns))),
     )
 
@@ -212,7 +213,7 @@ def _burn(end: OrbitTarget | Cutoff | None, start: Restart, earth: Earth, lead_s
     """Return a burn from its target `end`, its `start` after a coast, and the lead of the cutoff command, s."""
     orbit = OrbitGuidance(
         rate_limit_radps=math.radians(COAST_RATE_degps),
-        mu_m3ps2=earth.mu_m3ps2,
+        mu_m3ps2=_central_mu_m3ps2(earth),
         j2=earth.j2 if earth.gravity == J2 else 0.0,
         j2_radius_m=earth.gravity_radius_m,
         lead_s=lead_s,
@@ -229,6 +230,14 @@ def _burn(end: OrbitTarget | Cutoff | None, start: Restart, earth: Earth, lead_s
     assert end.wanted is not None
     name, value = end.wanted
     return replace(burn, quantity=QUANTITIES.index(name), wanted=value)
+
+
+def _central_mu_m3ps2(earth: Earth) -> float:
+    """Return the gravitational parameter of a central field, or 0 without one."""
+    if earth.gravity in (INVERSE_SQUARE, J2):
+        return earth.mu_m3ps2
+    round_uniform = earth.gravity == UNIFORM and earth.figure != FLAT
+    return earth.uniform_mps2 * earth.equatorial_radius_m**2 if round_uniform else 0.0
 
 
 def _orbit_guidance(target: OrbitTarget, orbit: OrbitGuidance, earth: Earth) -> OrbitGuidance:

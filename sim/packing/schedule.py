@@ -21,10 +21,18 @@ from maxq.sim.vehicle import schedule as columns_of
 from maxq.sim.vehicle.air.packing import surface_bodies, surface_stations
 from maxq.sim.vehicle.body.section import joined, squares
 from maxq.sim.vehicle.engine.burn import NOMINAL, Burn, burn_rate, table_time_s
-from maxq.sim.vehicle.engine.packing import Mount, cluster_of, engine_mounts, on_clock, swinging, thrust_curves
+from maxq.sim.vehicle.engine.packing import (
+    Mount,
+    cluster_of,
+    engine_mounts,
+    hung_engines,
+    on_clock,
+    swinging,
+    thrust_curves,
+)
 from maxq.sim.vehicle.loads.packing import CarriedBoosters
 from maxq.sim.vehicle.modes.masses import turning
-from maxq.sim.vehicle.modes.packing import Carried, Places, mode_values, spatial_values
+from maxq.sim.vehicle.modes.packing import Carried, Hung, Places, mode_values, spatial_values
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 from maxq.sim.vehicle.slosh.packing import Pendulum, pendulums
 from maxq.sim.vehicle.state import Sizes
@@ -266,7 +274,7 @@ def _modes(
 
 
 def _places(stage: Stage, burn: Burn, table: ModeTable | SpatialModeTable, tanks: Sequence[Pendulum]) -> Places:
-    mounts = engine_mounts(stage, burn) or (Mount(float(table.station_m[-1]), 1.0, 0.0),)
+    mounts = engine_mounts(stage, burn, table.time_s) or (Mount(float(table.station_m[-1]), 1.0),)
     gyro_m = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
     hinges_m = tuple(tank.joined.at(burn.of(tank.body).over(table.time_s))[:, 2].tobytes() for tank in tanks)
     sensors_m = tuple(sensor.station_m for sensor in stage.sensors)
@@ -275,7 +283,29 @@ def _places(stage: Stage, burn: Burn, table: ModeTable | SpatialModeTable, tanks
         tuple(tank.body for tank in tanks),
         surface_bodies(stage),
     )
-    return Places(mounts, gyro_m, hinges_m, surface_stations(stage), sensors_m, carried)
+    return Places(
+        mounts, gyro_m, hinges_m, surface_stations(stage), sensors_m, carried, *_axial(stage, burn, table, tanks)
+    )
+
+
+def _axial(
+    stage: Stage, burn: Burn, table: ModeTable | SpatialModeTable, tanks: Sequence[Pendulum]
+) -> tuple[tuple[float, ...], tuple[Hung, ...]]:
+    """Return the mass of the vehicle at the times of a table, and the masses that hang from the core.
+
+    The bobs of a booster hang from their hinges.
+    """
+    times, rows = stage.mass_over_time()
+    hung = [Hung(station_m, (moment_kgm,)) for station_m, moment_kgm in hung_engines(stage, burn)]
+    for b, booster in enumerate(stage.booster, start=1):
+        first, at_s = booster.attachments_m[0], burn.of(b).over(table.time_s)
+        dry = _body(stage, b, tanks, stage.interpolation)[0].at(at_s)
+        moment = dry[:, 0] * (dry[:, 1] - first)
+        for pendulum in (each for each in tanks if each.body == b):
+            bob = pendulum.joined.at(at_s)
+            moment = moment + bob[:, 0] * (bob[:, 2] - first)
+        hung.append(Hung(first, tuple(moment.tolist()), booster.attachments_m))
+    return tuple(np.interp(table.time_s, times, rows[:, 0]).tolist()), tuple(hung)
 
 
 def _spatial_modes(stage: Stage, burn: Burn, sizes: Sizes, tanks: Sequence[Pendulum], method: Method) -> Cubics:

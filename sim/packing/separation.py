@@ -19,7 +19,7 @@ from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.engine.burn import Burn, table_time_s
 from maxq.sim.vehicle.modes.masses import products, solved
 from maxq.sim.vehicle.modes.packing import gauss
-from maxq.sim.vehicle.modes.shapes import ModeShapes, spatial_shapes
+from maxq.sim.vehicle.modes.shapes import ModeShapes, SpatialShapes
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 from maxq.sim.vehicle.state import Sizes
 
@@ -94,7 +94,7 @@ def _shapes(part: StageModes, points: Array) -> Array:
             continue
         then = _then(modes, part)
         if isinstance(then, SpatialModeTable):
-            out.append(spatial_shapes(then)(points)[:, :4, 0].transpose(2, 1, 0))
+            out.append(SpatialShapes(then).at(points)[:, :4, 0].transpose(2, 1, 0))
         else:
             shapes = np.zeros((then.modes, 4, len(points)))
             shapes[:, at] = ModeShapes(then).value(points)[:, 0].T

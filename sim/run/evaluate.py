@@ -11,7 +11,8 @@ from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight.loop import begin
 from maxq.sim.flight.step import evaluate, read_schedule, schedule_clock
 from maxq.sim.packing.flight import Packed
-from maxq.sim.vehicle.loads.kernel import MAX_LOAD_COLUMNS, SECTION_WIDTH, evaluate_sections
+from maxq.sim.vehicle.loads.columns import MAX_LOAD_COLUMNS, SECTION_WIDTH
+from maxq.sim.vehicle.loads.kernel import evaluate_sections
 from maxq.sim.vehicle.state import MAX_STATE
 from maxq.sim.vehicle.workspace import PROPERTIES_SIZE, Aux, Evaluation, Work
 

@@ -145,6 +145,10 @@ class FlightRun:
         self._counts = np.zeros(2, np.int64)
         self._hold(self._arrays(self._logged, self._rows))
         with compilation(loaded.name, advance, begin):
+            if self.packed.memory["held"]["clamped"][0] == 1 and self.packed.memory["clock"]["started"][0] == 0:
+                from maxq.sim.run.standing import stand_still  # noqa: PLC0415  # lazy: rarely needed
+
+                stand_still(self.packed)
             begin(self.packed.parameters, self.packed.pool, self.packed.memory, self.packed.state)
             self._advance(self._now_ns, self._logged, self._rows)
         self._software: FlightSoftware | None = None

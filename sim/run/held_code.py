@@ -56,11 +56,15 @@ _COMMANDS = ("gimbal_rad[0]", "gimbal_rad[1]", "roll_gimbal_rad", "roll_thruster
 
 @dataclass(frozen=True)
 class Tape:
-    """The inputs and outputs (samples,) of flight code at all samples of a flight, and the setup at its start."""
+    """The inputs and outputs (samples,) of flight code at all samples of a flight, and the setup at its start.
+
+    `start_q_BR`: attitude in the computer before the first sample, which contains its error of alignment.
+    """
 
     setup: bytes
     inputs: Records
     outputs: Records
+    start_q_BR: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
 
     @property
     def commands(self) -> Array:
@@ -207,7 +211,7 @@ class HeldCode(Instance):
         state = self._state[0]
         state.sample_s, state.count_rad, state.rounded = held.sample_s, held.count_rad, int(held.rounded)
         state.method, state.limit_rad, state.blended = held.method, held.limit_rad, int(self._blended)
-        state.attitude.measured.q[0] = state.commanded.q[0] = 1.0
+        state.attitude.measured.q[:] = held.tape.start_q_BR
         if row > 0:
             before = self._inputs[row - 1]
             state.total_counts[:] = np.round(before.angle_rad / held.count_rad) if held.count_rad > 0.0 else 0

@@ -13,7 +13,7 @@ from maxq.sim.run.quantities import against_limit, by_utilisation, meets, sign_o
 from maxq.sim.scenario.schema_environment import Site
 from maxq.sim.scenario.schema_launch import Cutoff, OrbitTarget
 from maxq.sim.scenario.schema_scenario import MOST_HALVINGS, RequirementSection, Run, Scenario
-from maxq.sim.vehicle.loads.kernel import BENDING, COMPRESSION, KINDS, SHEAR, TENSILE, SectionLoads, extreme_index
+from maxq.sim.vehicle.loads.columns import BENDING, COMPRESSION, KINDS, SHEAR, TENSILE, SectionLoads, extreme_index
 from maxq.sim.world.earth import FLAT, INVERSE_SQUARE, J2, Earth
 
 _ITERATIONS = 200
@@ -150,7 +150,7 @@ def _error(value: float, wanted: float | None) -> float:
 
 @dataclass(frozen=True)
 class SectionExtreme:
-    """The largest load of a kind (sim/vehicle/loads/kernel.py, KINDS) at a station, and its largest ratio to the limit.
+    """The largest load of one of the KINDS (sim/vehicle/loads/columns.py) at a station, and its ratio to the limit.
 
     The value is 0 if the load never was positive, and the ratio is 0 without a limit. The time is then nan.
     """

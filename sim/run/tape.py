@@ -5,13 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from maxq.control.external import FswInputs, FswOutputs
+from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import blank, dtype_of
+from maxq.control.kernel.vectors import quaternion_of
 from maxq.sim.flight.parameters import CONTROL_LOST
 from maxq.sim.input.values import to_ns
 from maxq.sim.run.flight_software import setup_of
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.held_code import Tape
 from maxq.sim.scenario.loader import LoadedScenario
+
+_quaternion_of = from_python(quaternion_of)
 
 
 def record(loaded: LoadedScenario) -> Tape:
@@ -44,4 +48,4 @@ def record(loaded: LoadedScenario) -> Tape:
     )
     if not np.array_equal(given["tick"], np.arange(len(given))):
         raise AssertionError("a sample of the flight code is not on the tape")
-    return Tape(setup, given, taken)
+    return Tape(setup, given, taken, _quaternion_of(tuple(run.packed.parameters[0].navigation.alignment_rad.tolist())))

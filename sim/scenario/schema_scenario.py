@@ -570,8 +570,8 @@ class Scenario(Section):
             raise refuse(problem, "with held = true in [initial], and without [rail]", key, value=True)
         if not first.engines:
             raise refuse("the first stage has no gimbal", "a stage with an engine", key, value=True)
-        if first.spatial_modes is not None:
-            raise refuse("a clamp of spatial modes is not modelled", "planar modes", key, value=True)
+        if first.spatial_modes is not None and first.bending is not None:
+            raise refuse("a clamp of planar and spatial modes together is not modelled", "one kind", key, value=True)
 
     def _check_section_loads(self) -> None:
         if self.switches.section_loads and not any(stage.loads for stage in self.vehicle.stage):

@@ -19,7 +19,7 @@ from maxq.sim.vehicle.actuator.section import ActuatorSection
 from maxq.sim.vehicle.air.section import AeroSection
 from maxq.sim.vehicle.body.section import Mass, Reference, joined
 from maxq.sim.vehicle.engine.section import EngineSection, RollThrusters
-from maxq.sim.vehicle.loads.section import LoadsSection, check_loads
+from maxq.sim.vehicle.loads.section import LoadsSection, check_liquids, check_stations
 from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
 from maxq.sim.vehicle.modes.tables import (
     OVER_MASS,
@@ -338,7 +338,8 @@ class Stage(Section):
         self._check_spatial_modes()
         if self.loads is not None:
             gimbal_station_m = min((engine.gimbal_station_m for engine in self.own_engines), default=None)
-            check_loads(self.loads, gimbal_station_m, names)
+            check_stations(self.loads, gimbal_station_m)
+            check_liquids(self.loads, names)
 
     def _check_spatial_modes(self) -> None:
         given = self.spatial_modes
@@ -362,9 +363,6 @@ class Stage(Section):
             raise refuse(
                 "too many boosters for section loads", f"up to {MAX_BOOSTERS}", "booster", value=len(self.booster)
             )
-        if self.booster and self.loads is not None and self.spatial_modes is not None:
-            problem = "section loads of boosters on spatial modes are not modelled"
-            raise refuse(problem, "planar modes", "spatial_modes", value={})
         lifting = sum(b.aero is not None and "CN_alpha_pr" in b.aero.table for b in self.booster)
         own = len(self.aero.surface) + len(self.aero.coefficients) if self.aero is not None else 0
         if lifting and own + lifting > MAX_SURFACES:

@@ -145,7 +145,7 @@ def add_tension_to_modes(
 
 
 @formula
-def _entry(row: int, column: int) -> int:
+def entry(row: int, column: int) -> int:
     """Return the index of an entry in the matrix of the system."""
     return row * MAX_UNKNOWNS + column
 
@@ -188,12 +188,12 @@ def _solve_tensions(
             g += properties[in_pitch + k * n + j] * u[2] * u_j[2] + properties[in_yaw + k * n + j] * u[1] * u_j[1]
             if sizes.spatial_modes > 0:
                 g += spatial_compliance(sizes, properties, shapes, bare_pointer(other.shapes_along_rod))
-            matrix[_entry(j, k)] = slosh.bob_mass(properties, j) * g
-            matrix[_entry(k, j)] = mass * g
-        matrix[_entry(k, k)] += 1.0
+            matrix[entry(j, k)] = slosh.bob_mass(properties, j) * g
+            matrix[entry(k, j)] = mass * g
+        matrix[entry(k, k)] += 1.0
     if sizes.tvc_loads > 0:
         _add_loads(sizes, accel, alpha, properties, y, first, work)
-    _eliminate(n + 2 * sizes.tvc_loads, system)
+    eliminate(n + 2 * sizes.tvc_loads, system)
     for k in range(n):  # the tensions also accelerate the hinges
         u, tension = vec.vector_at(y, first + slosh.N_PENDULUM * k), unknown[k]
         for j in range(n):
@@ -247,39 +247,39 @@ def _add_loads(
             if sizes.spatial_modes > 0:
                 shapes = bare_pointer(tank.shapes_along_rod)
                 along += spatial_along_rod(sizes, properties, sch.tank_place(k), u, spatial, shapes)
-            matrix[_entry(k, row)] = slosh.bob_mass(properties, k) * along
-            matrix[_entry(row, k)] = -along
+            matrix[entry(k, row)] = slosh.bob_mass(properties, k) * along
+            matrix[entry(row, k)] = -along
         for j in range(2 * sizes.tvc_loads):
             about = moment_about_hinge(sizes, record_at(system.swing, j), rigid, turning, planar, spatial)
-            matrix[_entry(n + j, row)] = -about
-        matrix[_entry(row, row)] += swing.inertia_kgm2
+            matrix[entry(n + j, row)] = -about
+        matrix[entry(row, row)] += swing.inertia_kgm2
         about = moment_about_hinge(sizes, swing, accel, alpha, accelerations[0], accelerations[1])
         unknown[row] = swing.known_Nm + about
 
 
 @kernel
-def _eliminate(n: int, system: System) -> None:
+def eliminate(n: int, system: System) -> None:
     """Solve the system in place: `unknown` contains the right-hand side, then the solution.
 
     No pivoting is needed, because the symmetric form of the matrix is quasi-definite, so that no pivot is zero.
     """
     matrix, unknown = bare_pointer(system.matrix), bare_pointer(system.unknown)
     if n == 2:
-        a, b, c, d = matrix[_entry(0, 0)], matrix[_entry(0, 1)], matrix[_entry(1, 0)], matrix[_entry(1, 1)]
+        a, b, c, d = matrix[entry(0, 0)], matrix[entry(0, 1)], matrix[entry(1, 0)], matrix[entry(1, 1)]
         e, f = unknown[0], unknown[1]
         scale = 1.0 / (a * d - b * c)
         unknown[0], unknown[1] = scale * (d * e - b * f), scale * (a * f - c * e)
         return
     for k in range(n):
-        pivot = 1.0 / matrix[_entry(k, k)]
+        pivot = 1.0 / matrix[entry(k, k)]
         for row in range(k + 1, n):
-            factor = matrix[_entry(row, k)] * pivot
+            factor = matrix[entry(row, k)] * pivot
             for j in range(k + 1, n):
-                matrix[_entry(row, j)] -= factor * matrix[_entry(k, j)]
+                matrix[entry(row, j)] -= factor * matrix[entry(k, j)]
             unknown[row] -= factor * unknown[k]
     for back in range(n):
         k = n - 1 - back
         total = unknown[k]
         for j in range(k + 1, n):
-            total -= matrix[_entry(k, j)] * unknown[j]
-        unknown[k] = total / matrix[_entry(k, k)]
+            total -= matrix[entry(k, j)] * unknown[j]
+        unknown[k] = total / matrix[entry(k, k)]

@@ -15,10 +15,13 @@ Energies (rigid velocity v0 of C0 and w = (p, q, r), all in B; nu_eta = etadot +
     pair      (Mz nu_eta^2 + My nu_xi^2) / 2,  strain (Mz wz^2 eta^2 + My wy^2 xi^2) / 2
     pendulum  m |v0 + w x r + rdot|^2 / 2 with r = rho + (0, sum phi_y xi, sum phi_z eta) + L u, exact
     engine    m_E |v_E + Deltadot + w x Delta|^2 / 2 - m_E |v_E|^2 / 2, Delta = -l_E (d - x),
-              + I_t (|w + d x ddot|^2 - |w|^2) / 2
+              + I_t (|w + w_r|^2 - |w|^2) / 2
     engine on pair
               m_E (Deltadot + p x cross Delta) . (0, phi_Ey nu_xi, phi_Ez nu_eta)
-              + I_t (d x ddot) . (0, sz nu_eta, -sy nu_xi)
+              + I_t w_r . (0, sz nu_eta, -sy nu_xi)
+The engine has three gimbal axes, whose rates give w_r. It does not turn about its own axis: w_r . d = 0. This
+constraint is not holonomic. Its moment about d is that of the row of the third axis. It acts on the pitch row, whose
+axis has the component sin(dy) along d (Lagrange's equations with multipliers).
 Modal damping acts on etadot and xidot, pendulum damping on L udot_B; both are internal.
 Limits: parameters frozen in time; by definition no terms of order (q, r) * bending of the core or
 (q, r) * Delta * bending, and no rotation of Delta with the bent mount.
@@ -55,7 +58,7 @@ _R, _RD = _symbols("X Y Z"), _symbols("Xd Yd Zd")
 _E, _ED = _symbols("psi theta phi"), _symbols("psid thetad phid")
 _V, _W = _symbols("u v w"), _symbols("p q r")
 _G = _symbols("g1 g2 g3")
-_D, _DD = _symbols("dp dy"), _symbols("dpd dyd")
+_D, _DD = _symbols("dp dy dr"), _symbols("dpd dyd drd")  # pitch, yaw, turn about the thrust axis
 _X_HAT = sp.Matrix([1, 0, 0])
 
 
@@ -182,21 +185,25 @@ def _core_piece() -> _Piece:
 
 
 def _thrust_direction() -> sp.Matrix:
-    dp, dy = _D
+    dp, dy, _ = _D
     return sp.Matrix([sp.cos(dp) * sp.cos(dy), -sp.sin(dy), sp.sin(dp) * sp.cos(dy)])
 
 
 def _engine_motion(length: sp.Symbol) -> tuple[sp.Matrix, sp.Matrix, sp.Matrix]:
-    """Return Delta, Deltadot and d x ddot in B."""
+    """Return Delta, Deltadot and the engine's angular velocity relative to its mount, in B.
+
+    The gimbal has three axes: pitch about -y of the mount, yaw, and a turn about the thrust axis.
+    """
     d = _thrust_direction()
     delta = -length * (d - _X_HAT)
-    d_dot = _rate(d, _D, _DD)
-    return delta, -length * d_dot, d.cross(d_dot)
+    about_yaw = d.cross(d.diff(_D[1]))
+    turning = sp.Matrix([0, -_DD[0], 0]) + about_yaw * _DD[1] + d * _DD[2]
+    return delta, -length * _rate(d, _D, _DD), turning
 
 
 @cache
 def _engine() -> _Compiled:
-    return _compiled("engine", 2, _engine_piece)
+    return _compiled("engine", 3, _engine_piece)
 
 
 def _engine_piece() -> _Piece:
@@ -215,7 +222,7 @@ def _engine_piece() -> _Piece:
 
 @cache
 def _pair() -> _Compiled:
-    return _compiled("pair", 4, _pair_piece)
+    return _compiled("pair", 5, _pair_piece)
 
 
 def _pair_piece() -> _Piece:
@@ -331,7 +338,9 @@ def _chart(state: State, euler: tuple[float, float, float], angles: tuple[float,
         pendulum_rates += list(rates)
 
     return _Chart(
-        q=np.concatenate((c_ij.T @ state.r_I_m, euler, state.eta_m, state.xi_m, pendulum_angles, state.deflection_rad)),
+        q=np.concatenate(
+            (c_ij.T @ state.r_I_m, euler, state.eta_m, state.xi_m, pendulum_angles, state.deflection_rad, [0.0])
+        ),
         q_dot=np.concatenate(
             (
                 c_ij.T @ state.v_I_mps,
@@ -340,6 +349,7 @@ def _chart(state: State, euler: tuple[float, float, float], angles: tuple[float,
                 state.xidot_mps,
                 pendulum_rates,
                 state.deflection_radps,
+                [-math.sin(state.deflection_rad[1]) * state.deflection_radps[0]],
             )
         ),
         C_IJ=c_ij,
@@ -358,9 +368,9 @@ _NO_ENGINE = Engine(0.0, 0.0, 0.0, np.zeros(3))
 def _pieces(vehicle: Vehicle, axes: list[Floats]) -> list[tuple[_Compiled, Floats, Floats]]:
     """Return every piece with its constants and its selection matrix S: own coordinates = S (all coordinates)."""
     n_pairs, n_pendulums = len(vehicle.pairs), len(vehicle.pendulums)
-    total = 6 + 2 * n_pairs + 2 * n_pendulums + 2
+    total = 6 + 2 * n_pairs + 2 * n_pendulums + 3
     eye = np.eye(total)
-    rigid, gimbal = eye[:6], eye[-2:]
+    rigid, gimbal = eye[:6], eye[-3:]
     eta, xi = eye[6 : 6 + n_pairs], eye[6 + n_pairs : 6 + 2 * n_pairs]
     j = vehicle.inertia_B_kgm2
     engine = vehicle.engine or _NO_ENGINE
@@ -454,14 +464,17 @@ def accelerations(
         start = 6 + 2 * n_pairs + 2 * k
         force[start : start + 2] = _damping(pendulum, chart.u_jacobian[k], state.udot_B_1ps[k])
 
-    free = slice(0, total - 2)
-    given = slice(total - 2, total)
+    free = slice(0, total - 3)
+    given = slice(total - 3, total)
     q_ddot = np.zeros(total)
-    q_ddot[given] = state.deflection_radps2
+    yaw, (pitch_rate, yaw_rate) = state.deflection_rad[1], state.deflection_radps
+    turn = -math.cos(yaw) * yaw_rate * pitch_rate - math.sin(yaw) * state.deflection_radps2[0]
+    q_ddot[given] = [*state.deflection_radps2, turn]
     q_ddot[free] = _solve(mass[free, free], force[free] - bias[free] - mass[free, given] @ q_ddot[given])
     torque = mass[given] @ q_ddot + bias[given]
+    torque = torque[:2] - np.array([math.sin(yaw), 0.0]) * torque[2]  # the pitch axis along d is sin(yaw)
 
-    angles_ddot = q_ddot[6 + 2 * n_pairs : total - 2].reshape(n_pendulums, 2)
+    angles_ddot = q_ddot[6 + 2 * n_pairs : total - 3].reshape(n_pendulums, 2)
     uddot = [chart.u_jacobian[k] @ angles_ddot[k] + chart.u_rest[k] for k in range(n_pendulums)]
     return {
         "specific_force_B_mps2": chart.C_JB.T @ (q_ddot[:3] - g_j),

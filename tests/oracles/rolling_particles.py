@@ -6,7 +6,8 @@ principle, sum m J' (J q'' + J' q') = Q. No energy is defined, no quasi-velocity
 
 Core: particles on the x axis, which the modes displace, and particles that the modes do not move. An engine: its mass
 where gimbal and bent section carry it, less the same mass at its locked position, because the core contains the locked
-engine. An engine is a point mass at its CG.
+engine. An engine consists of six equal particles about its CG, of isotropic inertia. Its gimbal has two axes. The outer
+one is -y of its section, the inner one turns the engine in yaw.
 
 Coordinates: place of the CG (3), rotation vector (3), modes (n), pitch and yaw angle of each engine, y and z components
 of each bob's unit vector. The rotation vector is zero at the present instant, so that its derivatives are w and w'.
@@ -30,12 +31,22 @@ TINY = 1e-30
 
 @dataclass(frozen=True)
 class PointEngine:
-    """A point mass behind a gimbal at `section` of the axis, displaced from it by `offset_m` (y, z)."""
+    """Six particles behind a gimbal at `section` of the axis, displaced from it by `offset_m` (y, z).
+
+    `inertia_kgm2` is that about any axis through their CG.
+    """
 
     mass_kg: float
     length_m: float
     section: int
     offset_m: tuple[float, float]
+    inertia_kgm2: float = 0.0
+
+    @property
+    def particles_m(self) -> Floats:
+        """Return the places (6, 3) of its particles behind the gimbal, at rest."""
+        reach = np.sqrt(1.5 * self.inertia_kgm2 / self.mass_kg)
+        return np.array([-self.length_m, 0.0, 0.0]) + reach * np.concatenate([np.eye(3), -np.eye(3)])
 
 
 @dataclass(frozen=True)
@@ -71,7 +82,7 @@ class Particles:
     @property
     def masses_kg(self) -> Floats:
         """Return the masses of the particles, in the order of `places`."""
-        moved = [sign * engine.mass_kg for engine in self.engines for sign in (1.0, -1.0)]
+        moved = [sign * engine.mass_kg / 6.0 for engine in self.engines for sign in [1.0] * 6 + [-1.0] * 6]
         return np.concatenate([self.axis_kg, self.hull_kg, moved, [bob.mass_kg for bob in self.bobs]])
 
     def places(self, q: Numbers) -> Numbers:
@@ -85,10 +96,12 @@ class Particles:
             pitch, yaw = q[at : at + 2]
             at += 2
             mount = rotation(eta @ self.slopes[:, engine.section])
-            thrust = np.array([np.cos(pitch) * np.cos(yaw), -np.sin(yaw), np.sin(pitch) * np.cos(yaw)])
-            for direction in (thrust, np.array([1.0, 0.0, 0.0])):
-                arm = np.array([0.0, *engine.offset_m]) - engine.length_m * direction
-                out.append(axis[engine.section] + mount @ arm)
+            (sp, cp), (sy, cy), no = (np.sin(pitch), np.cos(pitch)), (np.sin(yaw), np.cos(yaw)), 0.0 * pitch
+            outer = np.array([[cp, no, -sp], [no, no + 1.0, no], [sp, no, cp]])
+            turned = outer @ np.array([[cy, sy, no], [-sy, cy, no], [no, no, no + 1.0]])
+            for turn in (turned, np.eye(3)):
+                arms = np.array([0.0, *engine.offset_m]) + engine.particles_m @ turn.T
+                out += [axis[engine.section] + mount @ arm for arm in arms]
         for bob in self.bobs:
             y, z = q[at : at + 2]
             at += 2

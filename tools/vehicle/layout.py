@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from maxq.control.kernel.limits import MAX_BURNS, MAX_LOAD_STATIONS, MAX_PENDULUMS, MAX_STAGES
+from maxq.control.kernel.limits import MAX_BURNS, MAX_PENDULUMS, MAX_STAGES
 from maxq.sim.input import values
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.foreign import RASP
@@ -23,7 +23,7 @@ from maxq.sim.scenario.loader import load_file
 from maxq.sim.scenario.schema_launch import Restart
 from maxq.sim.vehicle.actuator.section import SECTIONS
 from maxq.sim.vehicle.air.section import AeroSection
-from maxq.sim.vehicle.loads.section import SHARE_COLUMNS
+from maxq.sim.vehicle.loads.section import SectionStations, check_stations
 from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
 from maxq.sim.vehicle.slosh.section import Profile, check_domes
 from maxq.sim.vehicle.tvc_load.section import TvcLoadSection
@@ -148,15 +148,6 @@ def check_grains(grains: tuple[Grain, ...], radius_m: float) -> None:
         outside = grain.radius_m or radius_m
         if (port := grain.port_radius_m) is not None and port >= outside:
             raise refuse("is not inside the grain", f"below {outside:g}", ("grain", n, "port_radius_m"), value=port)
-
-
-class LoadSections(Section):
-    """The stations of section loads (switches.section_loads)."""
-
-    stations_m: tuple[float, ...] = Field(
-        min_length=1, max_length=MAX_LOAD_STATIONS, description="stations, m aft of the nose"
-    )
-    axial_force: Annotated[CsvTable, SHARE_COLUMNS] | None = optional("as in a vehicle file")
 
 
 _STACKED = ("upper", "middle", "lower")  # names of groups by the sign of z, which points down
@@ -322,7 +313,7 @@ class LayoutStage(Between):
     aero: AeroSection | None = optional("as in a vehicle file, instead of computed values (CSV, DATCOM's for006)")
     bending: BendingSection | None = optional("as in a vehicle file, instead of the beam's modes")
     spatial_modes: SpatialModesSection | None = optional("as in a vehicle file (CSV, NASTRAN's op2 or f06)")
-    loads: LoadSections | None = optional("absent: no section loads")
+    loads: SectionStations | None = optional("absent: no section loads")
     modes: Annotated[int, Field(ge=0, le=8)] = optional("bending modes of the beam", 3)
     bending_damping: Fraction = optional("damping ratio of all modes", 0.005)
     roll_torque_Nm: Positive | None = optional("torque of roll thrusters, N m (default: for 5 deg/s2 at ignition)")
@@ -354,6 +345,7 @@ class LayoutStage(Between):
                 ("shell", len(self.shell) - 1, "rear_station_m"),
                 value=self.shell[-1].rear_station_m,
             )
+        check_stations(self.loads, self.engine.gimbal_station_m)
 
 
 class LayoutSite(Section):

@@ -163,29 +163,68 @@ def on_clock(table: Cubics, burn: Burn, engine: int | None = None) -> Cubics:
 
 
 class Mount(NamedTuple):
-    """A station of gimbals: its share of the thrust, and the first moment of the mass supported there.
+    """A station of gimbals, and its share of the thrust: constant, or at each time of a table.
 
     `attachments_m`: stations of the core to which the booster of these engines is attached.
     """
 
     station_m: float
-    thrust_share: float
-    hanging_kgm: float
+    thrust_share: float | tuple[float, ...]
     attachments_m: tuple[float, ...] = ()
 
+    @property
+    def enters_m(self) -> float:
+        """Return the station at which the thrust enters the core."""
+        return self.attachments_m[0] if self.attachments_m else self.station_m
 
-def engine_mounts(stage: Stage, burn: Burn) -> tuple[Mount, ...]:
-    """Return the mounts by station, in the order of `Cluster.mounts`; shares are those of the largest thrusts."""
-    alike, out = cluster_of(stage, burn.faults).alike, []
-    strengths = [len(a.numbers) * a.one.thrust_factor * float(a.one.table["thrust_vacuum_N"].max()) for a in alike]
-    for mount in cluster_of(stage, burn.faults).mounts:
-        there = [k for k, a in enumerate(alike) if a.mount == mount]
-        share = 1.0
-        if sum(strengths) > 0.0 and len(there) < len(alike):
-            share = sum(strengths[k] for k in there) / sum(strengths)
-        hanging = sum(len(alike[k].numbers) * _hanging_kgm(alike[k].one) for k in there)
-        out.append(Mount(mount[0], share, hanging, mount[1]))
-    return tuple(out)
+
+def engine_mounts(stage: Stage, burn: Burn, time_s: Array) -> tuple[Mount, ...]:
+    """Return the mounts in the order of `Cluster.mounts`, with the shares of the largest thrusts.
+
+    With boosters, the shares at `time_s` (T,) are those of the impulse between the middles to the adjacent times, or of
+    the next second if there is one time.
+    """
+    cluster = cluster_of(stage, burn.faults)
+    most = [_strength(a) * float(a.one.table["thrust_vacuum_N"].max()) for a in cluster.alike]
+    constant = [sum(most[k] for k in there) / sum(most) if sum(most) > 0.0 else 1.0 for there in _together(cluster)]
+    shares: list[float | tuple[float, ...]] = [1.0] if len(constant) == 1 else [*constant]
+    if stage.booster and len(constant) > 1:
+        middle_s = 0.5 * (time_s[1:] + time_s[:-1])
+        edges_s = np.array([time_s[0], *middle_s, time_s[-1] if len(time_s) > 1 else time_s[0] + 1.0])
+        gained = np.array(
+            [_strength(a) * np.diff(_impulse_Ns(a.one, burn.of(a.body).over(edges_s))) for a in cluster.alike]
+        )
+        total = gained.sum(axis=0)
+        for m, there in enumerate(_together(cluster)):
+            own = gained[there].sum(axis=0)
+            shares[m] = tuple(np.where(total > 0.0, own / np.where(total > 0.0, total, 1.0), constant[m]).tolist())
+    return tuple(Mount(mount[0], share, mount[1]) for mount, share in zip(cluster.mounts, shares, strict=True))
+
+
+def hung_engines(stage: Stage, burn: Burn) -> tuple[tuple[float, float], ...]:
+    """Return the station and the first moment (kg m) of the engines behind each mount of the core."""
+    cluster = cluster_of(stage, burn.faults)
+    moments = [len(a.numbers) * _hanging_kgm(a.one) for a in cluster.alike]
+    of_mounts = zip(cluster.mounts, _together(cluster), strict=True)
+    return tuple((mount[0], sum(moments[k] for k in there)) for mount, there in of_mounts if not mount[1])
+
+
+def _together(cluster: Cluster) -> list[list[int]]:
+    """Return the indices of the engines in `Cluster.alike` at each mount."""
+    return [[k for k, a in enumerate(cluster.alike) if a.mount == mount] for mount in cluster.mounts]
+
+
+def _strength(alike: Alike) -> float:
+    return len(alike.numbers) * alike.one.thrust_factor
+
+
+def _impulse_Ns(e: Given, until_s: Array) -> Array:
+    """Return the impulse in vacuum from the beginning of the table to times on its clock; its end values hold."""
+    time_s, thrust_N = e.table["time_s"], e.table["thrust_vacuum_N"]
+    begin_s, at_N = np.maximum(until_s, time_s[0]), np.interp(until_s, time_s, thrust_N)
+    k = np.clip(np.searchsorted(time_s, begin_s, side="right") - 1, 0, len(time_s) - 1)
+    known = np.append(0.0, np.cumsum(0.5 * (thrust_N[1:] + thrust_N[:-1]) * np.diff(time_s)))
+    return np.asarray(known[k] + 0.5 * (thrust_N[k] + at_N) * (begin_s - time_s[k]))
 
 
 def _hanging_kgm(e: Given) -> float:

@@ -1,4 +1,4 @@
-"""The mass and the modes along the body as the columns of the section loads (sim/vehicle/loads/kernel.py)."""
+"""The mass and the modes along the body as the columns of the section loads (sim/vehicle/loads/columns.py)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from maxq.sim.input.values import to_ns
 from maxq.sim.vehicle.air.packing import surface_bodies
 from maxq.sim.vehicle.engine.burn import Burn
 from maxq.sim.vehicle.engine.packing import on_clock
-from maxq.sim.vehicle.loads import kernel as columns_of
+from maxq.sim.vehicle.loads import columns as columns_of
 from maxq.sim.vehicle.loads import section as schema
-from maxq.sim.vehicle.loads.kernel import Loads
+from maxq.sim.vehicle.loads.columns import Loads
+from maxq.sim.vehicle.modes.shapes import ModeShapes, SpatialShapes, on_body, shapes_over, spatial_over
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 from maxq.sim.vehicle.slosh.packing import pendulum_curves, pendulums
 from maxq.sim.vehicle.slosh.section import Tank
@@ -135,13 +136,35 @@ class _Bearer(NamedTuple):
         rows = self.mass.at(times - self.ignition_s)
         return rows[:, 0], rows[:, 1], 0.5 * (rows[:, 5] + rows[:, 6])
 
-    def shapes(self, core: _Shapes) -> tuple[Array, Array]:
+    def shapes(self, core: ModeShapes) -> tuple[Array, Array]:
         """Return the shape at the first attachment and the slope of the booster (T, M) (docs/model.md, 4.12)."""
-        first, last = self.attachments_m[0], self.attachments_m[-1]
-        held, slope = core.value_and_slope(first)
-        if first != last:
-            slope = (core.value_and_slope(last)[0] - held) / (last - first)
-        return held, slope
+        own, first = on_body(core, self.attachments_m), self.attachments_m[0]
+        return own.value(first)[0], own.slope(first)[0]
+
+    def in_space(self, core: SpatialShapes) -> Array:
+        """Return the rows ATTACHED to LEAN_Z (6, T, M) of the spatial modes."""
+        x, y, z, about_x, about_y, about_z = core.at(self.attachments_m[0], self.attachments_m)[0]
+        return np.stack([x, y, z, about_x, -about_z, about_y])
+
+    def of_cg(self, rows: Array, times: Array) -> Array:
+        """Return the displacements x, y, z (3, T, M) of the CG by the rows of `in_space`."""
+        aft, y, z = (self.mass.at(times - self.ignition_s)[:, 1:4] - [self.attachments_m[0], 0.0, 0.0]).T[:, :, None]
+        twist, lean_y, lean_z = rows[3:]
+        return np.asarray(
+            rows[:3] + np.stack([lean_y * y + lean_z * z, aft * lean_y - twist * z, aft * lean_z + twist * y])
+        )
+
+
+class _InSpace(NamedTuple):
+    """The motion of a booster's CG by spatial modes along one axis, with its slope and the motion along x (T, M).
+
+    `offset_m` (T,): its distance from the axis of the core along the same axis.
+    """
+
+    lateral: Array
+    slope: Array
+    axial: Array
+    offset_m: Array
 
 
 def _bearers(stage: Stage, nominal: Sequence[Cubics]) -> tuple[_Bearer, ...]:
@@ -201,12 +224,18 @@ def _columns(
             rows[:, :, :, : table.modes] = body.modal(table, stations)
         per_station.append(rows.reshape(len(times), len(stations), -1))
     if spatial is not None:
-        along_y, along_z = (body.modal(table, stations) for table in spatial.lateral())
+        along_y, along_z = (
+            body.modal(plane, stations, body.in_space(spatial, along))
+            for along, plane in enumerate(spatial.lateral(), start=1)
+        )
         rows = np.concatenate([along_z, along_y, body.axial(spatial, stations)[:, :, None]], axis=2)
         per_station.append(rows.reshape(len(times), len(stations), -1))
+    of_boosters = [shapes.reshape(len(times), -1)]
+    if spatial is not None and boosters:
+        of_boosters.append(body.carried_in_space(spatial).reshape(len(times), -1))
     columns = np.concatenate(per_station, axis=2).reshape(len(times), -1)
     whole = fit(times, np.concatenate([np.stack(body.totals, axis=1), columns], axis=1), method)
-    return whole, fit(times, shapes.reshape(len(times), -1), method)
+    return whole, fit(times, np.concatenate(of_boosters, axis=1), method)
 
 
 class _Part(NamedTuple):
@@ -293,15 +322,15 @@ class _Body:
         forward = [self._forward(power, stations) for power in powers]
         return [*forward, *(self._forward(power, stations, hanging=True) for power in powers[:2])]
 
-    def modal(self, table: ModeTable, stations: Array) -> Array:
-        """Return the rows INERTIA to DISPLACEMENT (T, stations, rows, modes) of one plane.
+    def modal(self, table: ModeTable, stations: Array, in_space: Sequence[_InSpace] = ()) -> Array:
+        """Return the rows INERTIA to DISPLACEMENT (T, stations, rows, modes) of one plane, also of spatial modes.
 
         In the inertial forces, the shapes exclude their rigid motion with respect to this line mass. Hence the modes do
         not change momentum and angular momentum, as in the equations of motion.
         """
-        shapes = _Shapes(table, self.times, self.method)
-        phi = [shapes.at(part.x) for part in self.parts]  # (T, n, nodes, M)
-        cg, shift, turn = self._rigid_motion(shapes, phi)
+        shapes = shapes_over(table, self.times, self.method)
+        phi = [shapes.along(part.x) for part in self.parts]  # (T, n, nodes, M)
+        cg, shift, turn = self._rigid_motion(shapes, phi, in_space)
         about_cg = [part.x - cg[:, None, None] for part in self.parts]
         force = [
             part.mass[..., None] * (p - shift[:, None, None] - turn[:, None, None] * r[..., None])
@@ -309,7 +338,7 @@ class _Body:
         ]
         inertia = self._forward(force, stations)
         moment = self._forward([f * part.x[..., None] for part, f in zip(self.parts, force, strict=True)], stations)
-        here = shapes.at(np.broadcast_to(stations, (len(self.times), 1, len(stations))))[:, 0]  # (T, stations, M)
+        here = shapes.along(np.broadcast_to(stations, (len(self.times), len(stations))))  # (T, stations, M)
         hung = [part.mass[..., None] * p for part, p in zip(self.parts, phi, strict=True)]
         mass = self._forward([part.mass for part in self.parts], stations, hanging=True)
         aside = self._forward(hung, stations, hanging=True) - mass[..., None] * here
@@ -317,8 +346,8 @@ class _Body:
 
     def carried(self, table: ModeTable) -> Array:
         """Return the rows HELD to SLOPE_INERTIA (T, boosters, rows, modes) of one plane."""
-        shapes = _Shapes(table, self.times, self.method)
-        cg, shift, turn = self._rigid_motion(shapes, [shapes.at(part.x) for part in self.parts])
+        shapes = shapes_over(table, self.times, self.method)
+        cg, shift, turn = self._rigid_motion(shapes, [shapes.along(part.x) for part in self.parts])
         out = []
         for booster in self.boosters:
             held, slope = booster.shapes(shapes)
@@ -326,25 +355,69 @@ class _Body:
             out.append(np.stack([held, slope, held - rigid, slope - turn], axis=1))
         return np.stack(out, axis=1)
 
-    def _rigid_motion(self, shapes: _Shapes, phi: list[Array]) -> tuple[Array, Array, Array]:
+    def carried_in_space(self, table: SpatialModeTable) -> Array:
+        """Return the rows ATTACHED to LEAN_Z_INERTIA (T, boosters, rows, modes) of spatial modes."""
+        core, mean = SpatialShapes(spatial_over(table, self.times, self.method)), self._mean_axial(table)
+        motions = []
+        for along, plane in enumerate(table.lateral(), start=1):
+            shapes = shapes_over(plane, self.times, self.method)
+            phi = [shapes.along(part.x) for part in self.parts]
+            motions.append(self._rigid_motion(shapes, phi, self.in_space(table, along)))
+        out = []
+        for booster in self.boosters:
+            rows = booster.in_space(core)
+            rigid = [mean, *(shift + turn * (booster.attachments_m[0] - cg)[:, None] for cg, shift, turn in motions)]
+            lean = [rows[4 + k] - motions[k][2] for k in range(2)]
+            out.append(np.concatenate([rows, rows[:3] - np.stack(rigid), np.stack(lean)]))
+        return np.stack(out).transpose(2, 0, 1, 3)
+
+    def in_space(self, table: SpatialModeTable, along: int) -> list[_InSpace]:
+        """Return the motion of the CG of each booster by spatial modes, `along` y (1) or z (2)."""
+        core, out = SpatialShapes(spatial_over(table, self.times, self.method)), []
+        for booster in self.boosters:
+            rows = booster.in_space(core)
+            moved, offset = (
+                booster.of_cg(rows, self.times),
+                booster.mass.at(self.times - booster.ignition_s)[:, 1 + along],
+            )
+            out.append(_InSpace(moved[along], rows[3 + along], moved[0], offset))
+        return out
+
+    def _mean_axial(self, table: SpatialModeTable) -> Array:
+        """Return the mean axial shapes (T, M) of line mass and boosters."""
+        total, moved = self.totals[0], self._sum(self._axial_shapes(table))
+        core = SpatialShapes(spatial_over(table, self.times, self.method))
+        for booster in self.boosters:
+            mass = booster.at(self.times)[0]
+            total, moved = total + mass, moved + mass[:, None] * booster.of_cg(booster.in_space(core), self.times)[0]
+        return np.asarray(moved / total[:, None])
+
+    def _rigid_motion(
+        self, shapes: ModeShapes, phi: list[Array], in_space: Sequence[_InSpace] = ()
+    ) -> tuple[Array, Array, Array]:
         """Return the CG (T,) of line mass and boosters, and shift and slope (T, M) of the shapes `phi` there.
 
-        Masses and transverse inertias are the weights.
+        Masses and transverse inertias are the weights. With spatial modes, `in_space` contains the motion of the
+        boosters, whose axial motion at an offset counts.
         """
         total, first, second = self.totals
         moved = self._sum(phi)
-        carried = [
-            (*booster.at(self.times), booster.attachments_m[0], *booster.shapes(shapes)) for booster in self.boosters
-        ]
-        for mass, x, inertia, at, held, slope in carried:
+        carried = []
+        for k, booster in enumerate(self.boosters):
+            mass, x, inertia = booster.at(self.times)
+            held, slope = booster.shapes(shapes)
+            lateral, along = held + (x - booster.attachments_m[0])[:, None] * slope, np.zeros_like(held)
+            if in_space:
+                lateral, slope, axial, offset = in_space[k]
+                second, along = second + mass * offset**2, (mass * offset)[:, None] * axial
+            carried.append((mass, x, inertia, lateral, slope, along))
             total, first, second = total + mass, first + mass * x, second + mass * x * x + inertia
-            moved = moved + mass[:, None] * (held + (x - at)[:, None] * slope)
+            moved = moved + mass[:, None] * lateral
         cg = first / total
         about_cg = [part.x - cg[:, None, None] for part in self.parts]
         turned = self._sum([p * r[..., None] for p, r in zip(phi, about_cg, strict=True)])
-        for mass, x, inertia, at, held, slope in carried:
-            arm = (mass * (x - cg))[:, None]
-            turned = turned + arm * (held + (x - at)[:, None] * slope) + inertia[:, None] * slope
+        for mass, x, inertia, lateral, slope, along in carried:
+            turned = turned + (mass * (x - cg))[:, None] * lateral + inertia[:, None] * slope + along
         return cg, moved / total[:, None], turned / (second - first * cg)[:, None]
 
     def axial(self, table: SpatialModeTable, stations: Array) -> Array:
@@ -352,57 +425,24 @@ class _Body:
 
         The shapes exclude their mean motion with respect to this line mass, as in `modal`.
         """
+        at, mean = self._axial_shapes(table), self._mean_axial(table)[:, None, None]
+        moved = [part.mass[..., None] * (values - mean) for part, values in zip(self.parts, at, strict=True)]
+        return self._forward(moved, stations, hanging=True)
+
+    def _axial_shapes(self, table: SpatialModeTable) -> list[Array]:
+        """Return the axial shapes (T, n, nodes, M) of the masses of each part."""
         phi = table.displacement[..., 0]
         over_time = fit(table.time_s, phi.reshape(len(phi), -1), self.method).at(self.times)
         shapes = [fit(table.station_m, row.reshape(phi.shape[1:]).T) for row in over_time]
-        at = [
+        return [
             np.stack([f.at(x.ravel()).reshape(*x.shape, table.modes) for f, x in zip(shapes, part.held, strict=True)])
             for part in self.parts
         ]
-        mean = (self._sum(at) / self.totals[0][:, None])[:, None, None]
-        moved = [part.mass[..., None] * (values - mean) for part, values in zip(self.parts, at, strict=True)]
-        return self._forward(moved, stations, hanging=True)
 
     def _sum(self, values: Sequence[Array]) -> Array:
         """Return the sums (T, M) of mass times value over all parts."""
         weighted = [(p.mass[..., None] * v).sum(axis=(1, 2)) for p, v in zip(self.parts, values, strict=True)]
         return np.asarray(sum(weighted))
-
-
-class _Shapes:
-    """The shapes of a mode table at other times; the body is rigid beyond the first and last station."""
-
-    def __init__(self, table: ModeTable, times: Array, method: Method) -> None:
-        stacked = np.stack([table.phi, table.slope_pm], axis=1)
-        over_time = fit(table.time_s, stacked.reshape(len(table.time_s), -1), method).at(times)
-        self._phi, self._slope = over_time.reshape(len(times), *stacked.shape[1:]).swapaxes(0, 1)  # (T, M, S) each
-        self._x = table.station_m
-
-    def at(self, x: Array) -> Array:
-        """Return phi (T, n, nodes, M) at stations (T, n, nodes)."""
-        breaks = self._x
-        k = np.clip(np.searchsorted(breaks, x, side="right") - 1, 0, len(breaks) - 2)
-        inside = np.clip(x, breaks[0], breaks[-1])
-        h = (breaks[k + 1] - breaks[k])[..., None]
-        s = ((inside - breaks[k])[..., None]) / h
-        t = np.arange(len(x))[:, None, None]
-        phi, slope = self._phi.transpose(0, 2, 1), self._slope.transpose(0, 2, 1)  # (T, S, M)
-        value = phi[t, k] * (1.0 + 2.0 * s) * (1.0 - s) ** 2 + phi[t, k + 1] * s * s * (3.0 - 2.0 * s)
-        value += h * (slope[t, k] * s * (1.0 - s) ** 2 + slope[t, k + 1] * s * s * (s - 1.0))
-        beyond = (x - inside)[..., None]
-        return np.asarray(value + beyond * np.where(beyond < 0.0, slope[t, 0 * k], slope[t, 0 * k + len(breaks) - 1]))
-
-    def value_and_slope(self, station_m: float) -> tuple[Array, Array]:
-        """Return phi and d(phi)/d(station) (T, M) at a station between the first and the last."""
-        k = int(np.clip(np.searchsorted(self._x, station_m, side="right") - 1, 0, len(self._x) - 2))
-        h = self._x[k + 1] - self._x[k]
-        s = (station_m - self._x[k]) / h
-        ends = [(f[:, :, k], f[:, :, k + 1]) for f in (self._phi, self._slope)]
-        (f_0, f_1), (d_0, d_1) = ends
-        value = f_0 * (1.0 + 2.0 * s) * (1.0 - s) ** 2 + f_1 * s * s * (3.0 - 2.0 * s)
-        value = value + h * (d_0 * s * (1.0 - s) ** 2 + d_1 * s * s * (s - 1.0))
-        slope = (f_1 - f_0) * 6.0 * s * (1.0 - s) / h + d_0 * (1.0 - s) * (1.0 - 3.0 * s) + d_1 * s * (3.0 * s - 2.0)
-        return value, slope
 
 
 def _gauss(low: Array, high: Array) -> tuple[Array, Array]:

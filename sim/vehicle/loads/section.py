@@ -46,14 +46,33 @@ class Liquid(Section):
     bottom_station_m: float = Field(description="aft end of the column, where its weight acts on the body, m")
 
 
-class LoadsSection(Section):
-    """The section loads by summation of forces, evaluated with switches.section_loads."""
+class SectionStations(Section):
+    """The stations of section loads, and the points at which the axial aerodynamic force acts."""
 
     stations_m: tuple[float, ...] = Field(
         min_length=1,
         max_length=MAX_LOAD_STATIONS,
         description="stations, ascending, m aft of the nose, up to the gimbal",
     )
+    axial_force: Annotated[CsvTable, SHARE_COLUMNS] | None = optional(
+        "distribution of the axial aerodynamic force, with sum 1 (default: all at the nose)"
+    )
+
+    def _check(self) -> None:
+        if any(b <= a for a, b in zip(self.stations_m, self.stations_m[1:], strict=False)):
+            raise refuse("must increase strictly", "increasing numbers", "stations_m")
+        shares = self.axial_force
+        if shares is not None:
+            if len(shares) > MAX_SURFACES:
+                raise shares.refusal(f"has {len(shares)} rows", f"at most {MAX_SURFACES}", at=("axial_force",))
+            total = float(shares["share"].sum())
+            if abs(total - 1.0) > 1e-6:
+                raise shares.refusal(f"the shares add up to {total:g}", "a sum of 1", "share", at=("axial_force",))
+
+
+class LoadsSection(SectionStations):
+    """The section loads by summation of forces, evaluated with switches.section_loads."""
+
     line_mass: Annotated[CsvTable, LINE_MASS_COLUMNS] = Field(
         description="all masses except the liquid, including the engine: uniform between two stations, or points"
     )
@@ -61,9 +80,6 @@ class LoadsSection(Section):
     limits: Annotated[CsvTable, LIMIT_COLUMNS] | None = optional(
         "limit loads of the sections, linear between stations (with the same time_s at each, on the stage clock); "
         "equivalent axial loads are N +- 2 M / radius_m"
-    )
-    axial_force: Annotated[CsvTable, SHARE_COLUMNS] | None = optional(
-        "distribution of the axial aerodynamic force, with sum 1 (default: all at nose_station_m)"
     )
     nose_station_m: float = optional("forward end of the body, m aft of the nose", 0.0)
     period_s: Period = optional("time between evaluations for the extremes, s, whole ns", 0.002)
@@ -75,8 +91,7 @@ class LoadsSection(Section):
     )
 
     def _check(self) -> None:
-        if any(b <= a for a, b in zip(self.stations_m, self.stations_m[1:], strict=False)):
-            raise refuse("must increase strictly", "increasing numbers", "stations_m")
+        super()._check()
         line = self.line_mass
         backwards = line["rear_station_m"] < line["front_station_m"]
         line.refuse_where(backwards, "rear_station_m", "lies before the front", ">= front_station_m", at=("line_mass",))
@@ -91,13 +106,6 @@ class LoadsSection(Section):
             )
         if self.limits is not None:
             self._check_limits(self.limits)
-        shares = self.axial_force
-        if shares is not None:
-            if len(shares) > MAX_SURFACES:
-                raise shares.refusal(f"has {len(shares)} rows", f"at most {MAX_SURFACES}", at=("axial_force",))
-            total = float(shares["share"].sum())
-            if abs(total - 1.0) > 1e-6:
-                raise shares.refusal(f"the shares add up to {total:g}", "a sum of 1", "share", at=("axial_force",))
 
     def _check_limits(self, table: CsvTable) -> None:
         at = ("limits",)
@@ -117,11 +125,10 @@ def limit_times_s(table: CsvTable) -> NDArray[np.float64]:
     return np.unique(table.get("time_s"))
 
 
-def check_loads(loads: LoadsSection, gimbal_station_m: float | None, tanks: Sequence[str]) -> None:
-    """Reject stations aft of the foremost gimbal, and liquids that do not match the stage's tanks by name.
-
-    `gimbal_station_m` is None for a stage without engines.
-    """
+def check_stations(loads: SectionStations | None, gimbal_station_m: float | None) -> None:
+    """Reject stations aft of the foremost gimbal, which is None for a stage without engines."""
+    if loads is None:
+        return
     if gimbal_station_m is not None and loads.stations_m[-1] > gimbal_station_m:
         raise refuse(
             "is behind the gimbal, where only the engine is",
@@ -129,6 +136,10 @@ def check_loads(loads: LoadsSection, gimbal_station_m: float | None, tanks: Sequ
             ("loads", "stations_m", len(loads.stations_m) - 1),
             value=loads.stations_m[-1],
         )
+
+
+def check_liquids(loads: LoadsSection, tanks: Sequence[str]) -> None:
+    """Reject liquids that do not match the stage's tanks by name."""
     given = [liquid.tank for liquid in loads.liquid if liquid.tank]
     for n, liquid in enumerate(loads.liquid):
         if liquid.tank and (liquid.tank not in tanks or given.count(liquid.tank) > 1):

@@ -14,7 +14,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.sim.input.errors import refuse
-from maxq.sim.vehicle.modes.shapes import spatial_on, spatial_shapes
+from maxq.sim.vehicle.modes.shapes import SpatialShapes
 from maxq.sim.vehicle.modes.tables import PointMass, SpatialModeTable, twisting
 
 
@@ -109,9 +109,9 @@ def _moved(table: SpatialModeTable, points: tuple[PointMass, ...], gyration_m2: 
     x, y, z, about_x = (*np.moveaxis(table.displacement, -1, 0), table.rotation_pm[..., 0])
     weight, shape = [mass, mass, mass, roll], [x, y, z, about_x]
     turned = [0.0 * x, -z, y, 0.0 * x]
-    core = spatial_shapes(table)
+    core = SpatialShapes(table)
     for point in points:
-        x, y, z, *theta = spatial_on(core, point.attachments_m, (0.0, 0.0))(point.station_m)[0]  # (T, M) each
+        x, y, z, *theta = core.at(point.station_m, point.attachments_m)[0]  # (T, M) each
         a, b, c = point.arm_m
         moved = (x + theta[1] * c - theta[2] * b, y + theta[2] * a - theta[0] * c, z + theta[0] * b - theta[1] * a)
         motions = (*moved, *theta)

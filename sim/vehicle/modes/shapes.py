@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maxq.control.kernel.records import Array
-from maxq.control.kernel.tables import fit, hermite
+from maxq.control.kernel.tables import Method, fit, hermite
 from maxq.sim.vehicle.modes.tables import ModeTable, SpatialModeTable
 
 
@@ -34,11 +35,39 @@ class ModeShapes:
         s, (_, c1, c2, c3) = self._at(station_m)
         return np.reshape(c1 + c2 * s * 2.0 + c3 * (s * s) * 3.0, (-1, *self._of))
 
+    def along(self, station_m: Array) -> Array:
+        """Return phi (T, ..., M) at stations (T, ...) of each time; the body is rigid beyond the first and last one."""
+        breaks = self._cubics.breaks
+        inside = np.clip(station_m, breaks[0], breaks[-1])
+        k = np.clip(np.searchsorted(breaks, inside, side="right") - 1, 0, len(breaks) - 2)
+        t = np.arange(len(station_m)).reshape(-1, *[1] * (station_m.ndim - 1))
+        coefficients = self._cubics.coefficients.reshape(len(breaks) - 1, 4, *self._of)
+        c0, c1, c2, c3 = (coefficients[:, power][k, t] for power in range(4))
+        s, beyond = (inside - breaks[k])[..., None], (station_m - inside)[..., None]
+        value = c0 + c1 * s + c2 * (s * s) + c3 * (s * s * s)
+        return np.asarray(value + beyond * (c1 + c2 * s * 2.0 + c3 * (s * s) * 3.0))
+
     def _at(self, station_m: ArrayLike) -> tuple[Array, Array]:
         """Return the distance (P, 1) into the interval of each station, and its coefficients (4, P, T M)."""
         x, breaks = np.atleast_1d(np.asarray(station_m, float)), self._cubics.breaks
         k = np.clip(np.searchsorted(breaks, x, side="right") - 1, 0, len(breaks) - 2)
         return (x - breaks[k])[:, None], self._cubics.coefficients[k].transpose(1, 0, 2)
+
+
+def shapes_over(table: ModeTable, times: Array, method: Method) -> ModeShapes:
+    """Return the shapes of a table at other times."""
+    stacked = np.stack([table.phi, table.slope_pm], axis=1)
+    over_time = fit(table.time_s, stacked.reshape(len(table.time_s), -1), method).at(times)
+    phi, slope_pm = over_time.reshape(len(times), *stacked.shape[1:]).swapaxes(0, 1)
+    return ModeShapes(replace(table, time_s=times, phi=phi, slope_pm=slope_pm))
+
+
+def spatial_over(table: SpatialModeTable, times: Array, method: Method) -> SpatialModeTable:
+    """Return a table of spatial modes at other times."""
+    stacked = np.stack([table.displacement, table.rotation_pm], axis=1)
+    over_time = fit(table.time_s, stacked.reshape(len(table.time_s), -1), method).at(times)
+    displacement, rotation_pm = over_time.reshape(len(times), *stacked.shape[1:]).swapaxes(0, 1)
+    return replace(table, time_s=times, displacement=displacement, rotation_pm=rotation_pm)
 
 
 class _Rigid:
@@ -62,37 +91,28 @@ def on_body(core: ModeShapes, attachments_m: tuple[float, ...]) -> ModeShapes | 
     return _Rigid(core, attachments_m) if attachments_m else core
 
 
-def spatial_shapes(table: SpatialModeTable) -> Callable[[ArrayLike], Array]:
-    """Return the shapes (P, 6, T, M) at stations (P,): displacement along, rotation (1/m) about x, y, z of B."""
-    n, lateral = table.modes, [ModeShapes(plane) for plane in table.lateral()]
-    straight = np.stack([table.displacement[..., 0], table.rotation_pm[..., 0]])  # along and about x
-    joined = fit(table.station_m, straight.transpose(3, 0, 1, 2).reshape(len(table.station_m), -1))
+class SpatialShapes:
+    """The shapes of spatial modes: displacement along, and rotation (1/m) about x, y, z of B."""
 
-    def shapes(station_m: ArrayLike) -> Array:
-        x, about_x = joined.at(station_m).reshape(-1, 2, len(table.time_s), n).transpose(1, 0, 2, 3)
-        y, z = (plane.value(station_m) for plane in lateral)
-        slope_y, slope_z = (plane.slope(station_m) for plane in lateral)
-        return np.stack([x, y, z, about_x, slope_z, -slope_y], axis=1)
+    def __init__(self, table: SpatialModeTable) -> None:
+        self._of, self._lateral = (len(table.time_s), table.modes), [ModeShapes(plane) for plane in table.lateral()]
+        straight = np.stack([table.displacement[..., 0], table.rotation_pm[..., 0]])  # along and about x
+        self._straight = fit(table.station_m, straight.transpose(3, 0, 1, 2).reshape(len(table.station_m), -1))
 
-    return shapes
-
-
-def spatial_on(
-    core: Callable[[ArrayLike], Array], attachments_m: tuple[float, ...], place_m: tuple[float, float]
-) -> Callable[[ArrayLike], Array]:
-    """Return the shapes of the core, or of a point at y and z of a booster that moves as `_Rigid`."""
-    if not attachments_m:
-        return core
-    first, last = attachments_m[0], attachments_m[-1]
-    moved, turned = np.split(core(first), 2, axis=1)
-    if first != last:
-        lean = (core(last)[:, :3] - moved) / (last - first)
-        turned = np.stack([turned[:, 0], lean[:, 2], -lean[:, 1]], axis=1)
-
-    def shapes(station_m: ArrayLike) -> Array:
-        x = np.atleast_1d(np.asarray(station_m, float))
+    def at(
+        self, station_m: ArrayLike, attachments_m: tuple[float, ...] = (), place_m: tuple[float, float] = (0.0, 0.0)
+    ) -> Array:
+        """Return the shapes (P, 6, T, M) at stations (P,) of the core, or at y and z of a booster on it."""
+        if not attachments_m:
+            return self._on(self._lateral, station_m)
+        x, first = np.atleast_1d(np.asarray(station_m, float)), attachments_m[0]
+        moved, turned = np.split(self._on([on_body(y, attachments_m) for y in self._lateral], first), 2, axis=1)
         arm = np.stack([first - x, np.full(len(x), place_m[0]), np.full(len(x), place_m[1])], axis=1)[..., None, None]
         swept = np.cross(turned, np.broadcast_to(arm, (len(x), *turned.shape[1:])), axis=1)
         return np.concatenate([moved + swept, np.repeat(turned, len(x), axis=0)], axis=1)
 
-    return shapes
+    def _on(self, lateral: Sequence[ModeShapes | _Rigid], station_m: ArrayLike) -> Array:
+        x, about_x = self._straight.at(station_m).reshape(-1, 2, *self._of).transpose(1, 0, 2, 3)
+        y, z = (plane.value(station_m) for plane in lateral)
+        slope_y, slope_z = (plane.slope(station_m) for plane in lateral)
+        return np.stack([x, y, z, about_x, slope_z, -slope_y], axis=1)

@@ -263,7 +263,7 @@ def prepare_loads(
         apparent = add(cross(rate, cross(rate, cg)), scaled(2.0, cross(rate, engine.delta_rate)))
         # the quasi-velocities contain the other half
         apparent = add(apparent, (0.0, -rate[0] * moved[2], rate[0] * moved[1]))
-        spin = scaled(2.0, cross(turning, cross(engine.relative_rate, engine.axis)))
+        spin = cross(turning, cross(engine.relative_rate, engine.axis))
         for axis in range(2):
             unknown = 2 * n + axis
             if axis == 0:  # derivative of the thrust axis by the angle, and that angle's own centrifugal terms

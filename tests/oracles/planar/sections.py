@@ -23,7 +23,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import table_in
-from maxq.sim.vehicle.loads import kernel as packed_loads
+from maxq.sim.vehicle.loads import columns as packed_loads
 
 
 @dataclass(frozen=True)
