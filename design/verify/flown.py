@@ -377,10 +377,10 @@ def campaign_requirements(result: CampaignResult) -> list[JudgedRequirement]:
     level = f"{100.0 * result.success:g} % with {100.0 * result.confidence:g} %"
     out = []
     for v in result.verdicts:
-        sense = sign_of(v.kind)
-        bound = f"{sense} {v.bound:g}, " if v.metric else ""
+        sense, (most, limit, unit) = sign_of(v.kind), v.worst_text
+        bound = f"{sense} {limit} {unit}".rstrip() + ", " if v.metric else ""
         worst = v.worst[0] if v.worst else None
-        found = f"{v.shown.failures} of {v.shown.runs} failed" + (f", worst {worst.value:.4g}" if worst else "")
+        found = f"{v.shown.failures} of {v.shown.runs} failed" + (f", worst {most} {unit}".rstrip() if worst else "")
         left = suite.room_left(worst.value, v.bound, sense) if worst is not None else math.nan
         run, gone = worst.run if worst else v.first_missed, result.first_lost
         if not (v.metric or v.joint) and gone is not None:
