@@ -293,6 +293,20 @@ def choose_axes(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> N
     state.unknowns[4] = burn_s / SLOPE_s
 
 
+@kernel
+def begin_at(state: OrbitGuidanceState, time_s: float) -> None:
+    """Move t_0 to `time_s` without a change of the directions of thrust.
+
+    With an early t_0, a and c extrapolate the directions of the last seconds over the whole burn. Small changes of
+    these directions are then large steps of the unknowns.
+    """
+    passed = (time_s - state.begun_s) / SLOPE_s
+    state.unknowns[0] += passed * state.unknowns[1]
+    state.unknowns[2] += passed * state.unknowns[3]
+    state.unknowns[4] -= passed
+    state.begun_s = time_s
+
+
 @routine
 def measure_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> int:
     """Measure the thrust acceleration, and return 1 if the thrust is on and steady, otherwise 0.
@@ -327,7 +341,9 @@ def advance_orbit_guidance(g: OrbitGuidance, state: OrbitGuidanceState, time_s: 
         state.next_s = time_s + g.cycle_s
         if measure_acceleration(g, state, time_s) == 1:
             was = state.phase
-            if was != STEERING:
+            if was == STEERING:
+                begin_at(state, time_s)
+            else:
                 choose_axes(g, state, time_s)
             missed = solve(g, state, time_s, TRIALS if was == STEERING else FIRST_TRIALS)
             if missed < FAIR:
@@ -336,7 +352,7 @@ def advance_orbit_guidance(g: OrbitGuidance, state: OrbitGuidanceState, time_s: 
                 state.phase = SEARCHING
         elif state.phase == WAITING:
             state.phase = SEARCHING
-    if state.phase == STEERING and state.solved_s + SLOPE_s * state.unknowns[4] - time_s < ENDING_s + g.lead_s:
+    if state.phase == STEERING and state.begun_s + SLOPE_s * state.unknowns[4] - time_s < ENDING_s + g.lead_s:
         state.phase = ENDING
     if state.phase == ENDING:
         r, v = vec.vector_at(state.position_m, 0), vec.vector_at(state.velocity_mps, 0)

@@ -25,6 +25,7 @@ from maxq.tools.vehicle.figures import stage_bodies
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import LayoutNozzles, read_layout
 from maxq.tools.vehicle.masses import Rod
+from maxq.tools.vehicle.report import tables
 
 HERON = Path(__file__).parent.parent / "scenarios" / "layouts" / "heron.toml"
 
@@ -117,6 +118,30 @@ def test_masses_at_liftoff_are_sums_of_the_layout(built: Built) -> None:
 
 
 @pytest.mark.slow
+def test_the_table_of_stages_counts_the_boosters(built: Built) -> None:
+    """Each propellant gives its exhaust speed times its mass as impulse; the parts of the burn of the core meet."""
+    both, core = built.stacks[:2]
+    kg = [[stack.mass_properties(t).mass_kg for t in (stack.begins_s, stack.end_s)] for stack in (both, core)]
+    of_core = [kg[0][0] - kg[0][1] - 2 * 22000.0, kg[1][0] - kg[1][1]]
+    assert sum(of_core) == pytest.approx(47000.0 + 19500.0 - 500.0, rel=1e-9)
+    impulses = 335.0 * of_core[0] + 270.0 * 2 * 22000.0, 335.0 * of_core[1]
+    for stack, wanted in zip((both, core), impulses, strict=True):
+        assert stack.impulse_Ns == pytest.approx(wanted * 9.80665, rel=1e-4)
+    rows = tables(built)[0].rows
+    (burn_s, both_weight, both_mps), (rest_s, core_weight, core_mps) = (
+        [float(x) for x in row[3:6]] for row in rows[1:3]
+    )
+    assert burn_s + rest_s == pytest.approx(core.end_s, abs=0.1)
+    assert burn_s == pytest.approx(both.end_s, abs=0.05)
+    assert both_weight == pytest.approx(
+        (950e3 + 2 * 830e3) / kg[0][0] / 9.80665, abs=0.015
+    )  # thrust falls from its start
+    assert core_weight == pytest.approx(950e3 / kg[1][0] / 9.80665, abs=0.006)
+    assert core_mps == pytest.approx(335.0 * 9.80665 * math.log(kg[1][0] / kg[1][1]), abs=1.0)
+    speed_mps = impulses[0] * 9.80665 / (kg[0][0] - kg[0][1])
+    assert both_mps == pytest.approx(speed_mps * math.log(kg[0][0] / kg[0][1]), abs=1.0)
+
+
 def test_files_fly_the_masses_and_thrusts_of_the_layout(built: Built, tmp_path: Path) -> None:
     """Mass, CG, inertia and thrust of the packed flight equal those of the layout, on both sides of the separation."""
     write(built, tmp_path)

@@ -146,17 +146,17 @@ def test_thrust_is_measured_and_foretold_and_the_plane_has_its_inclination() -> 
     def derivative(t: float, y: Array) -> Array:
         return np.concatenate([y[3:], burn.gravitation(y[:3]) + push(t) * u])
 
+    chosen_s = 0.0
     for k in range(4):
         state.position_m[:], state.velocity_mps[:] = y[:3], y[3:]
         advance(g, state, float(k), SAMPLE_S)
+        chosen_s = chosen_s or float(state.begun_s)  # when the axes are chosen
         if k > 0:  # the mean over a second is that of its middle but for (a t / c)^2 / 12, and gravitation's curve
             assert state.acceleration_mps2 == pytest.approx(push(k), rel=5e-6)
         y = solve_ivp(derivative, (k, k + 1.0), y, method="DOP853", rtol=1e-12, atol=1e-7).y[:, -1]
     assert pushed(g, state, 103.0) == pytest.approx(push(103.0), rel=1e-5)
     x, n, z = np.reshape(state.axes, (3, 3))
-    at_guess = solve_ivp(derivative, (0.0, state.begun_s), np.concatenate([r, v]), method="DOP853", rtol=1e-12).y[
-        :3, -1
-    ]
+    at_guess = solve_ivp(derivative, (0.0, chosen_s), np.concatenate([r, v]), method="DOP853", rtol=1e-12).y[:3, -1]
     assert n[2] == pytest.approx(math.cos(math.radians(72.0)), abs=1e-12)
     assert n @ at_guess == pytest.approx(0.0, abs=1e-3)
     np.testing.assert_allclose(np.stack([x, n, z]) @ np.stack([x, n, z]).T, np.eye(3), atol=1e-12)
@@ -205,6 +205,33 @@ def test_energy_after_a_decay_is_that_of_the_orbit(decay_s: float) -> None:
     semimajor_m = 1.0 / (2.0 / np.linalg.norm(y[:3]) - y[3:] @ y[3:] / MU)
     assert semimajor_m - RADIUS_m == pytest.approx(375e3, abs=20.0 + 0.4 * decay_s**2)
     assert heights(burn, y)[0] == pytest.approx(250e3, abs=2e3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("off_deg", "within_m"), [(0.0, 20.0), (1.0, 6000.0), (-1.0, 6000.0)])
+def test_a_weak_engine_off_its_direction_reaches_its_orbit(off_deg: float, within_m: float) -> None:
+    """Thrust of 0.27 g, first upwards and then downwards, off the commanded direction in the plane of the orbit."""
+    burn = Burn(perigee_m=300e3, apogee_m=310e3, thrust_mps2=2.65, exhaust_mps=3138.0)
+    g = pack([replace(burn.guidance(), exhaust_mps=burn.exhaust_mps)])[0]
+    state = blank(OrbitGuidanceState)[0]
+    start(state)
+    up, east = np.array([math.cos(0.3), 0.0, math.sin(0.3)]), np.array([0.0, 1.0, 0.0])
+    y, t, u = np.concatenate([(RADIUS_m + 228.3e3) * up, 499.2 * up + 7424.6 * east]), 0.0, east
+    cosine, sine = math.cos(math.radians(off_deg)), math.sin(math.radians(off_deg))
+    while state.phase != CUT_OFF and t < 270.0:
+        state.position_m[:], state.velocity_mps[:] = y[:3], y[3:]
+        if advance(g, state, t, 0.1) == 1:
+            wanted = np.array(along(state, state.unknowns, t + 0.05))
+            u = cosine * wanted + sine * np.cross(state.axes[3:6], wanted)
+        length = state.cut_off_s - t if state.phase == CUT_OFF else 0.1
+        push = burn.thrust_mps2 / (1.0 - burn.thrust_mps2 * (t + 0.5 * length) / burn.exhaust_mps)
+        middle = y[:3] + 0.5 * length * y[3:]
+        gained = length * (burn.gravitation(middle) + push * u)
+        y, t = np.concatenate([y[:3] + length * (y[3:] + 0.5 * gained), y[3:] + gained]), t + length
+    assert state.phase == CUT_OFF
+    perigee_m, apogee_m = heights(burn, y)
+    assert perigee_m == pytest.approx(burn.perigee_m, abs=within_m)
+    assert apogee_m == pytest.approx(burn.apogee_m, abs=within_m)
 
 
 def optimal_s(burn: Burn, guess: Array) -> float:

@@ -6,27 +6,40 @@
 | coast | conserved energy and angular momentum; SciPy's DOP853 from cutoff to restart |
 | instant of the restart | apogee found by SciPy; mean anomaly of a state made from it |
 | propellant | thrust over exhaust speed times the time of both burns; no flow in the coast |
+| operating points of each burn | the log's mass, thrust times arm over inertia, the response in flight |
 | settling | a bob that swung in the coast hangs in line with the thrust |
 """
 
 from __future__ import annotations
 
+import json
 import math
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from flightkit import Tree, load, merged, with_stage
+from flightkit import Tree, load, merged, toml, with_stage
 from scipy.integrate import solve_ivp
 
-from maxq import Flight, FlightRun, ScenarioError
+from maxq import Flight, LoadedScenario, ScenarioError
 from maxq.control.burns import to_apogee_s
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array
+from maxq.design import operating_points
+from maxq.design.certificate.certificate import certify_node
+from maxq.design.certificate.held_flight import hold
+from maxq.design.certificate.in_flight import in_flight_response
 from maxq.design.model import powered
+from maxq.design.model.node import at_same_propellant_s, node_of
+from maxq.design.model.node_times import node_times
+from maxq.design.model.powered import Span
 from maxq.design.verify.uncovered import uncovered
+from maxq.sim.run.flight import Event
 from maxq.sim.run.fly import fly
+from maxq.sim.scenario.loader import load_scenario
+from maxq.tools import simdesign, simverify
 
 MU, RADIUS_m = 3.986004418e14, 6378137.0
 LOW_m, HIGH_m = RADIUS_m + 300e3, RADIUS_m + 1000e3
@@ -274,14 +287,6 @@ def test_a_flight_may_end_between_the_command_of_a_cutoff_and_the_cutoff() -> No
     assert math.isnan(flown.metrics["cutoff_speed_error_mps"])
 
 
-@pytest.mark.slow
-def test_burns_after_a_restart_are_listed_as_not_covered() -> None:
-    found = uncovered(load(TREE), {0: [2.0, 23.0]})
-    assert found[-1].begin_s == pytest.approx(flight().event_s("cutoff"), abs=1e-9)
-    assert (found[-1].end_s, found[-1].why) == (3000.0, "burns after a restart, no operating point")
-    assert found[-2].end_s == found[-1].begin_s  # the first burn ends there
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -333,18 +338,174 @@ def test_no_cutoff_is_commanded_after_the_propellant_is_exhausted() -> None:
     assert np.abs(still).max() < 1e-9
 
 
-def test_the_flight_for_operating_points_ends_at_the_first_cutoff(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The two-burn mission lasts 3,000 s, but the flight for operating points ends at the first cutoff."""
-    runs, begin = [], powered.flown_run
+AGAIN: Tree = merged(
+    TREE | {"guidance": {}},
+    {
+        "run": {"duration_s": 60.0},
+        "log": {"slow_hz": 100.0},
+        "vehicle": {"computer": {"delay_s": 0.003}},
+        "design": {"gains": {"table": {"mass_kg": [1000.0], "k_p": [1.0], "k_d_s": [1.0]}}},
+        "guidance": {
+            "cutoff": {"inertial_speed_mps": 7800.0},
+            "restart": [{"coast_s": 20.0, "cutoff": {"inertial_speed_mps": 7900.0}}],
+        },
+    },
+)
+del AGAIN["design"]["gains"]["table"]["time_s"]
 
-    def kept(*given: Any) -> FlightRun:
-        runs.append(begin(*given))
-        return runs[-1]
 
-    monkeypatch.setattr(powered, "flown_run", kept)
-    (span,), loss = powered.powered_flight(load(TREE))
+@cache
+def again() -> LoadedScenario:
+    return load(AGAIN)
+
+
+def burned_kg(time_s: float) -> float:
+    """Return the propellant that a log of the flight without operating points shows as burned."""
+    flown = fly(again())
+    return 2000.0 - float(np.interp(time_s, flown.time_s("mass_kg"), flown["mass_kg"]))
+
+
+def test_each_burn_is_a_powered_span() -> None:
+    flown, (spans, loss) = fly(again(), log=False), powered.powered_flight(again())
     assert loss is None
-    assert span.begin_s == pytest.approx(flight().event_s("ignition"), abs=1e-9)
-    assert span.end_s == pytest.approx(flight().event_s("cutoff"), abs=1e-6)
-    (run,) = runs
-    assert span.end_s < run.now_s < 0.5 * flight().event_s("restart")
+    ends = [[flown.event_s("ignition"), flown.event_s("cutoff")], [flown.event_s("restart"), flown.event_s("burnout")]]
+    assert [[span.begin_s, span.end_s] for span in spans] == ends
+    assert [span.stage for span in spans] == [0, 0]
+    assert [span.idle_s for span in spans] == pytest.approx([0.0, 20.0], abs=1e-8)
+
+
+def test_spans_of_a_part_dropped_in_the_coast() -> None:
+    """The second stage begins with a restart, and its tables stood still for the 10 s of the coast."""
+    named = (
+        ("ignition", 1.0, 1),
+        ("cutoff", 5.0, 1),
+        ("separation", 8.0, 1),
+        ("restart", 15.0, 2),
+        ("burnout", 20.0, 2),
+    )
+    events = [Event(name, round(1e9 * at_s), stage) for name, at_s, stage in named]
+    assert powered.spans_of(events, 2, 30.0) == (Span(0, 1.0, 5.0), Span(1, 15.0, 20.0, 10.0))
+    assert powered.spans_of(events[:4], 2, 17.0) == (Span(0, 1.0, 5.0), Span(1, 15.0, 17.0, 10.0))
+
+
+def test_operating_points_are_in_each_burn() -> None:
+    spans, times_s = powered.powered_spans(again()), node_times(again(), 4)
+    inside = [[t for t in times_s if span.holds(t)] for span in spans]
+    assert [len(mine) for mine in inside] == [4, 4]
+    nodes = operating_points.nodes(again(), times_s)
+    for node, held in ((node, hold(again(), node).node) for node in nodes):
+        kg = 2000.0 - burned_kg(node.time_s)
+        assert node.vehicle.total_mass_kg == pytest.approx(kg, abs=1e-3)
+        assert held.vehicle.total_mass_kg == pytest.approx(kg, abs=1e-3)
+        assert node.scheduled("mass_kg") == node.vehicle.total_mass_kg
+        assert node.derivatives.m_delta_1ps2 == pytest.approx(THRUST_N * 2.0 / 1500.0, rel=1e-9)
+        assert node.axial_load_mps2 == pytest.approx(THRUST_N / kg, rel=1e-6)
+    with pytest.raises(ValueError, match="the engine does not burn"):
+        operating_points.nodes(again(), [0.5 * (spans[0].end_s + spans[1].begin_s)])
+
+
+def test_only_the_ends_of_each_burn_are_uncovered() -> None:
+    spans, times_s = powered.powered_spans(again()), node_times(again(), 4)
+    ends = [(spans[0].begin_s, times_s[0]), (times_s[3], spans[0].end_s)]
+    ends += [(spans[1].begin_s, times_s[4]), (times_s[7], spans[1].end_s)]
+    assert [(one.begin_s, one.end_s) for one in uncovered(again(), {0: times_s})] == ends
+    bare = [one for one in uncovered(again(), {0: times_s[:4]}) if one.begin_s > times_s[4] - 1.0]
+    assert [(one.begin_s, one.end_s, one.why) for one in bare] == [
+        (spans[1].begin_s, spans[1].end_s, "under thrust, no operating point")
+    ]
+
+
+def test_a_dispersed_flight_has_the_same_propellant_after_a_longer_coast() -> None:
+    """With 2 % less flow, every second of the engine burns 4.9 kg."""
+    longer = merged(AGAIN, {"vehicle": {}})
+    longer["guidance"] = AGAIN["guidance"] | {"restart": [AGAIN["guidance"]["restart"][0] | {"coast_s": 23.0}]}
+    longer["vehicle"] = longer["vehicle"] | {"stage": [merged(STAGE, {"engine": {"mass_flow_factor": 0.98}})]}
+    (node,) = operating_points.nodes(again(), [node_times(again(), 4)[5]])
+    run = powered.flown_run(load(longer), faults=False)
+    at_s = at_same_propellant_s(run, again().scenario, node)
+    powered.flown_to(run, at_s)
+    there = node_of(run.packed, run.now_s, 0)
+    assert there.stage_start_s == pytest.approx(23.0, abs=1e-8)
+    assert there.vehicle.total_mass_kg == pytest.approx(node.vehicle.total_mass_kg, abs=0.03)  # within half a step
+    assert (at_s - 23.0 - 1.0) * 0.98 == pytest.approx(node.time_s - node.stage_start_s - 1.0, abs=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay_s", [0.003, 0.0])
+def test_the_loop_of_a_second_burn_is_measured_in_flight(delay_s: float) -> None:
+    """Without a delay, the command of a tick is in the log row of the tick itself."""
+    scenario = load(merged(AGAIN, {"vehicle": {"computer": {"delay_s": delay_s}}}))
+    span = powered.powered_spans(scenario)[1]
+    (found,) = in_flight_response(scenario, [round(0.5 * (span.begin_s + span.end_s), 2)], "pitch")
+    assert set(found.reason) == {""}
+    assert np.abs(found.difference_db).max() < 0.3
+    assert np.abs(found.difference_deg).max() < 1.0
+    (node,) = operating_points.nodes(scenario, [found.time_s])
+    certificate = certify_node(scenario, node, names=("gain_down",))
+    assert certificate.stable
+    assert certificate.unexplained == ()
+
+
+@pytest.mark.slow
+def test_a_design_holds_its_limits_in_each_burn(tmp_path: Path) -> None:
+    """Gains over mass from one burn to the next; no limit is evaluated in the coast, where no engine burns."""
+    text = "\n".join(f"{key} = {toml(value)}" for key, value in AGAIN.items())
+    (tmp_path / "scenario.toml").write_text(text)
+    (tmp_path / "case.toml").write_text(CASE)
+    assert simdesign.main([str(tmp_path / "case.toml"), "--out", str(tmp_path / "made"), "--no-pictures"]) == 0
+    found = json.loads((tmp_path / "made" / "design.json").read_text())
+    assert found["feasible"]
+    spans = powered.powered_spans(load_scenario(tmp_path / "scenario.toml"))
+    times_s = found["case"]["nodes_s"]
+    assert [sum(span.holds(t) for t in times_s) for span in spans] == [3, 3]
+    assert found["search"]["instants"] == pytest.approx(4.0 * sum(span.end_s - span.begin_s for span in spans), abs=2.0)
+    ends_kg = [2000.0 - FLOW_kgps * (times_s[k] - spans[k].idle_s - 1.0) for k in (-1, 0)]
+    assert found["gains"]["mass_kg"] == pytest.approx(ends_kg, abs=0.03)  # operating points are at steps
+    k_p = (0.3 * 2.0 * math.pi) ** 2 / (THRUST_N * 2.0 / 1500.0)
+    assert found["gains"]["k_p"] == pytest.approx([k_p, k_p], rel=1e-6)
+    made = str(tmp_path / "made")
+    judged = ["analyse", made, "--scenario", str(tmp_path / "scenario.toml"), "--out", str(tmp_path / "judged")]
+    assert simdesign.main([*judged, "--no-pictures"]) == 0
+    (tmp_path / "suite.toml").write_text(SUITE)
+    given = [made, "--suite", str(tmp_path / "suite.toml"), "--out", str(tmp_path / "verdict"), "--no-pack"]
+    assert simverify.main(given) == 0
+    verdict = json.loads((tmp_path / "verdict" / "verdict.json").read_text())
+    assert verdict["verdict"] == "passed screening"
+    of = {requirement["name"]: requirement["found"] for requirement in verdict["requirements"]}
+    assert of["flight and linear loop agree, pitch"] == "2 of 2 operating points"
+    assert of["in-flight response, pitch"] == "18 of 18 lines"  # nine in each burn
+    missing = [text for text in verdict["missing_evidence"] if "margins: no operating point" in text]
+    assert missing == []
+
+
+CASE = """
+schema = 2
+scenario = "scenario.toml"
+nodes_per_stage = 3
+gains = {schedule = "linear", over = "mass_kg"}
+objective = {kind = "least-margin"}
+filter = {structure = "F2"}
+search = {starts = 1, leaps = 0}
+[limits]
+rigid_body = "aerodynamic"
+rigid_hz = 0.3
+rigid_zeta = 0.5
+without = ["second_mode_db"]
+"""
+SUITE = """
+schema = 2
+description = "two burns"
+scenario = "scenario.toml"
+[margins]
+nodes_per_stage = 8
+planes = ["pitch"]
+cases = 0
+nominal = {gain_up_db = 6.0}
+dispersed = {gain_up_db = 3.0}
+worst = {modulus = 0.25, starts = 1}
+[certificate]
+nodes_per_stage = 1
+planes = ["pitch"]
+[[flight]]
+name = "nominal"
+"""

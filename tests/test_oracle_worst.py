@@ -267,11 +267,15 @@ def test_the_worst_of_all_nodes_is_measured_and_flown(
 
 
 def test_the_worst_between_nodes_and_along_other_flights_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For c(t) + a . u in a box, the least c at 8.33 s is found, and a flight with c lower by 0.1."""
+    """For c(t) + a . u in a box, the least c at 8.33 s is found, and a flight with c lower by 0.1.
+
+    A second burn after a coast from 12 to 40 s is searched, but not the coast.
+    """
     a = np.array([0.05, -0.02, 0.01])
 
     def node(t: float, lower: float = 0.0) -> Any:
-        return SimpleNamespace(time_s=t, plane="yaw", least=0.5 + 0.01 * (t - 8.33) ** 2 - lower)
+        least = 0.5 + 0.01 * (t - 8.33) ** 2 - lower
+        return SimpleNamespace(time_s=t, plane="yaw", least=least, stage_start_s=0.0 if t < 20.0 else 28.0)
 
     stand_in = {
         "distances": lambda node, *_: lambda every: [(float(node.least + a @ u), np.ones(1)) for u in every],
@@ -297,6 +301,18 @@ def test_the_worst_between_nodes_and_along_other_flights_is_found(monkeypatch: p
     found = worst.search_plane(nodes, none, none, wanted, none, nodes_at=lambda at_s: [node(t) for t in at_s])
     assert found.time_s == pytest.approx(8.33, abs=0.026)
     assert found.sigmas == pytest.approx({f"thrust {k + 1}": -3.0 * float(np.sign(a[k])) for k in range(3)})
+    asked = list[float]()
+    again = worst.search_plane(
+        [*nodes, node(40.0), node(44.0)],
+        none,
+        none,
+        wanted,
+        none,
+        nodes_at=lambda at_s: [node(t) for t in (asked.extend(at_s) or at_s)],
+    )
+    assert again.time_s == found.time_s
+    assert [t for t in asked if 12.0 < t < 40.0] == []
+    assert max(asked) > 43.0
     flights = [[node(t, lower) for t in (5.0, 8.0, 12.0)] for lower in (-0.1, 0.1)]
     found = worst.search_plane(nodes, none, none, wanted, none, trajectories=flights)
     assert (found.time_s, found.trajectory, found.modulus) == (8.0, 2, pytest.approx(nodes[1].least - 0.1))

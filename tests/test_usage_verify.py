@@ -652,7 +652,10 @@ def test_the_wind_that_can_be_trimmed_is_that_of_the_worst_time(wind_mps: float,
 def test_a_campaign_s_requirement_names_its_worst_run() -> None:
     worst = tuple(SimpleNamespace(run=run, value=value) for run, value in ((41, 9.0), (7, 8.5)))
     shown = SimpleNamespace(failures=4, runs=60, judgement="", more=0)
-    verdict = SimpleNamespace(kind="limit", bound=8.0, metric="m_deg", unit="deg", name="m", worst=worst, shown=shown)
+    text = "9", "8", "deg"
+    verdict = SimpleNamespace(
+        kind="limit", bound=8.0, metric="m_deg", name="m", worst=worst, worst_text=text, shown=shown
+    )
     result = SimpleNamespace(
         success=0.99,
         confidence=0.9,
@@ -663,7 +666,7 @@ def test_a_campaign_s_requirement_names_its_worst_run() -> None:
         verdicts=(verdict, SimpleNamespace(**{**vars(verdict), "worst": worst[:1]})),
     )
     for row in campaign_requirements(result):
-        assert (row.wanted, row.found) == ("<= 8 deg, 99 % with 90 %", "4 of 60 failed, worst 9.000 deg")
+        assert (row.found, row.wanted) == ("4 of 60 failed, worst 9 deg", "<= 8 deg, 99 % with 90 %")
         assert (row.where, row.again) == ("run 41", "simrun refly c --run 41")
 
 

@@ -223,7 +223,7 @@ class Case(Basis, CaseHead):
     between_nodes: BetweenNodes = optional(BETWEEN, "hold")
     limits: Limits = Limits()
     nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional(
-        "number of operating points in a stage without nodes_s", 11
+        "number of operating points in each burn of a stage without nodes_s", 11
     )
     stages: tuple[Annotated[int, Field(ge=1, le=MAX_STAGES)], ...] | None = optional(
         "stages to design, from 1; others use the scenario's design (default: all with operating points)"

@@ -24,7 +24,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design import operating_points
 from maxq.design.certificate.excitation import SHARE_OF_BURST, gimbal_injection
-from maxq.design.certificate.held_flight import fast_rows, with_ideal_converters
+from maxq.design.certificate.held_flight import with_ideal_converters
 from maxq.design.certificate.response import NOISE, NOISE_SIGMAS, UNEXPLAINED, decibels, degrees
 from maxq.design.certificate.time_varying import output_along
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
@@ -33,6 +33,7 @@ from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node, with_swings
 from maxq.design.model.powered import Span, powered_spans, spans_of
 from maxq.design.model.state_space import ComplexArray
+from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
@@ -84,14 +85,14 @@ class InFlightResponse:
 def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: Plane) -> list[InFlightResponse]:
     """Measure the response around each time.
 
-    Two ascents serve all times of a stage: one without excitation, and one excited from the stage's ignition on. The
-    earlier stages fly without excitation. An unstable airframe in a coast would otherwise amplify the remaining motion
+    Two ascents serve all times of a burn: one without excitation, and one excited from its ignition on. The flight up
+    to this ignition has no excitation. An unstable airframe in a coast would otherwise amplify the remaining motion
     until control is lost. Raises ValueError for a scenario without a design.
     """
     design = loaded.design
     if design is None:
         raise ValueError(f"{loaded.label}: there is no design to measure")
-    return _by_stage(loaded, lambda nodes: loops(nodes, design), times_s, plane)
+    return _by_burn(loaded, lambda nodes: loops(nodes, design), times_s, plane)
 
 
 def in_flight_response_of_code(
@@ -108,7 +109,7 @@ def in_flight_response_of_code(
         middle = len(nodes) // 2
         return [_ResponseOfCode(path, paths[middle], held[nodes[middle].time_s]) for path in paths]
 
-    return _by_stage(loaded, of, list(held), plane)
+    return _by_burn(loaded, of, list(held), plane)
 
 
 class _Response(Protocol):
@@ -138,19 +139,17 @@ class _ResponseOfCode:
 LoopsAt = Callable[[Sequence[Node]], Sequence[_Response]]
 
 
-def _by_stage(
+def _by_burn(
     loaded: LoadedScenario, loops_at: LoopsAt, times_s: Sequence[float], plane: Plane
 ) -> list[InFlightResponse]:
-    by_stage: dict[int, list[Node]] = {}
+    by_burn: dict[tuple[int, float], list[Node]] = {}
     for node in operating_points.nodes(loaded, times_s, plane=plane):
-        by_stage.setdefault(node.stage, []).append(node)
-    return [found for nodes in by_stage.values() for found in _of_stage(loaded, loops_at, nodes, plane)]
+        by_burn.setdefault((node.stage, node.stage_start_s), []).append(node)
+    return [found for nodes in by_burn.values() for found in _of_burn(loaded, loops_at, nodes, plane)]
 
 
-def _of_stage(
-    loaded: LoadedScenario, loops_at: LoopsAt, points: Sequence[Node], plane: Plane
-) -> list[InFlightResponse]:
-    """Measure the response around the operating points of one stage."""
+def _of_burn(loaded: LoadedScenario, loops_at: LoopsAt, points: Sequence[Node], plane: Plane) -> list[InFlightResponse]:
+    """Measure the response around the operating points of one burn of a stage."""
     times_s, sample_s = [node.time_s for node in points], points[0].instruments.sample_s
     whole = powered_spans(loaded)
     for time_s in times_s:
@@ -172,7 +171,7 @@ def _of_stage(
         return with_swings(nodes, dataclasses.replace(loaded, scenario=excited_by))
 
     nodes = excited_nodes([x for each in across for x in each])
-    sents = excited.command[1:] - quiet.command[1:]  # logged after its tick
+    sents = (excited.command - quiet.command)[points[0].instruments.rows_late :]
     backs = (excited.filtered - quiet.filtered)[: len(sents)]
     injected = sents - backs
     out = []
@@ -206,7 +205,7 @@ def _of_stage(
         out.append(InFlightResponse(time_s, plane, lines, frozen, measured, error, reasons))
     unexplained = [k for k, found in enumerate(out) if UNEXPLAINED in found.reason]
     if unexplained and loaded.scenario.switches.converter == "full":
-        again = _by_stage(with_ideal_converters(loaded), loops_at, [times_s[k] for k in unexplained], plane)
+        again = _by_burn(with_ideal_converters(loaded), loops_at, [times_s[k] for k in unexplained], plane)
         for k, fine in zip(unexplained, again, strict=True):
             out[k] = dataclasses.replace(out[k], reason=converters_share(out[k].reason, fine.reason))
     return out
@@ -289,10 +288,10 @@ def _flown(
         still["design"] = scenario.design.at_unit_gain
     scenario = scenario.model_copy(update=still)
     run = FlightRun(dataclasses.replace(loaded, scenario=scenario), pack_flight(scenario))
-    rows = fast_rows(run)
-    filtered, command = (
-        rows[:, run.table.index(name)] for name in (f"filtered_{plane}_deg", f"gimbal_{plane}_command_deg")
-    )
+    kept, columns = [], [run.table.index(f"{name}_deg") for name in (f"filtered_{plane}", f"gimbal_{plane}_command")]
+    while not run.finished:
+        kept.append(run.fly_segment()[FAST][1][:, columns])  # all channels of a long coast would take much memory
+    filtered, command = np.concatenate(kept).T
     return _Ascent(filtered, command, spans_of(run.events, len(scenario.vehicle.stage), run.now_s))
 
 

@@ -84,7 +84,7 @@ def _measured(
     sent = values[:, run.table.index(f"gimbal_{held.plane}_command_deg")]
     flight = run.result()
     saturated_s = flight.metrics["saturation_time_s"]
-    spectra = _spectra(band, held.sample_s, back, sent)
+    spectra = _spectra(band, held.sample_s, back, sent, held.node.instruments.rows_late)
     if spectra is None:
         nothing = np.full(len(band.lines_hz), np.nan)
         return MeasuredResponse(
@@ -94,17 +94,19 @@ def _measured(
     return _estimated(band, out, into, saturated_s, flight.outcome)
 
 
-def _spectra(band: LineBand, sample_s: float, back: Array, sent: Array) -> tuple[ComplexArray, ComplexArray] | None:
+def _spectra(
+    band: LineBand, sample_s: float, back: Array, sent: Array, late: int = 1
+) -> tuple[ComplexArray, ComplexArray] | None:
     """Return the spectra (periods, bins) of the return and of the command, or None if the flight ended early.
 
-    A command is logged after its tick and is therefore read one row later.
+    A command is logged `late` rows after its tick (`Instruments.rows_late`).
     """
     n, first = round(band.period_s / sample_s), round(band.settle_s / sample_s)
-    if first + band.periods * n + 1 > len(sent):
+    if first + band.periods * n + late > len(sent):
         return None
     starts = first + n * np.arange(band.periods)
     out, into = (
-        np.stack([np.fft.rfft(x[s + shift : s + shift + n]) for s in starts]) for x, shift in ((back, 0), (sent, 1))
+        np.stack([np.fft.rfft(x[s + shift : s + shift + n]) for s in starts]) for x, shift in ((back, 0), (sent, late))
     )
     return out, into
 

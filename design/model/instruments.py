@@ -52,6 +52,11 @@ class Instruments:
         """Return the actuator of the first drive."""
         return self.actuators[0]
 
+    @property
+    def rows_late(self) -> int:
+        """Return the number of log rows, one per sample, between the inputs of a command and the command itself."""
+        return 1 if self.delay_s > 0.0 else 0
+
 
 def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:
     """Return the instruments of a packed stage in one plane."""

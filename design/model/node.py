@@ -17,7 +17,7 @@ from maxq.design.model.dispersion import NOMINAL, Dispersion, deviated, disperse
 from maxq.design.model.held import Drives, FlightCondition, HeldStage, Trim, hold_stage, table_clock_s
 from maxq.design.model.instruments import Plane, allocation_at, instruments_of
 from maxq.design.model.operating_point import BUILD_UP, OperatingPoint
-from maxq.design.model.powered import flown_run, flown_to
+from maxq.design.model.powered import flown_run, flown_to, powered_spans
 from maxq.design.model.state_space import StateSpace
 from maxq.design.model.vehicle_at import (
     StabilityDerivatives,
@@ -56,7 +56,7 @@ class Node(OperatingPoint):
         (1.0, 0.0),
     )  # angles of each engine group per command, in the plane and in the other
     surface_radius_m: tuple[float, ...] = ()  # liquid surface in the tank of each pendulum; nan if unknown
-    stage_start_s: float = 0.0  # start of the stage's clock on the vehicle clock
+    stage_start_s: float = 0.0  # start of the stage's clock on the vehicle clock, plus the coasts before restarts
     trim: Trim = (
         0.0,
         0.0,
@@ -301,8 +301,8 @@ def _node(run: FlightRun, time_s: float, plane: Plane) -> Node:
     at_ns = flown_to(run, time_s)
     stage = int(run.memory.clock.stage)
     node = node_of(run.packed, at_ns / 1e9, stage, plane)
-    row = run.packed.parameters[stage]
-    clock_s = table_clock_s(row, (at_ns - int(row.timeline.stage_start_ns)) / 1e9)
+    row, idle_ns = run.packed.parameters[stage], int(run.memory.clock.idle_ns)
+    clock_s = table_clock_s(row, (at_ns - int(row.timeline.stage_start_ns) - idle_ns) / 1e9)
     return dataclasses.replace(
         node, surface_radius_m=surface_radii_m(run.loaded.scenario.vehicle.stage[stage], clock_s)
     )
@@ -320,6 +320,9 @@ def at_same_propellant_s(run: FlightRun, flown: Scenario, node: Node) -> float:
     start_s = start_ns / 1e9 if start_ns < NEVER else node.stage_start_s
     spent_s = table_time_s(flown.vehicle.stage[n], other, node.time_s - node.stage_start_s)
     at_s = start_s + when_spent_s(scenario.vehicle.stage[n], mine, spent_s)
+    if scenario.guidance.restart:
+        burns = [span for span in powered_spans(run.loaded) if span.stage == n]
+        at_s = next((at_s + each.idle_s for each in burns if each.holds(at_s + each.idle_s)), math.inf)
     if not math.isfinite(at_s):
         raise ValueError(f"operating point at {node.time_s:g} s: the flight never burns the propellant gone there")
     return at_s
@@ -377,17 +380,17 @@ def node_of(packed: Packed, time_s: float, stage: int = 0, plane: Plane = "pitch
         pitch_rad=pitch,
         gravity_mps2=gravity,
     )
-    since_s = time_s - 1e-9 * int(row.timeline.stage_start_ns)
+    start_s = 1e-9 * (int(row.timeline.stage_start_ns) + int(packed.memory[0].clock.idle_ns))
     return Node(
         time_s=time_s,
-        held=hold_stage(packed, table_clock_s(row, since_s), stage),
+        held=hold_stage(packed, table_clock_s(row, time_s - start_s), stage),
         condition=condition,
         instruments=instruments_of(row, plane),
         plane=plane,
         allocation=allocation_at(packed.pool, row, time_s, plane),
         label=f"{time_s:g} s",
         stage=stage,
-        stage_start_s=1e-9 * int(row.timeline.stage_start_ns),
+        stage_start_s=start_s,
         trim=trim,
         speed_mps=float(np.linalg.norm(packed.state[V_I : V_I + 3] - carried)),
     )

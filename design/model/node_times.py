@@ -39,30 +39,32 @@ def node_times(
 ) -> tuple[float, ...]:
     """Return times of operating points that suit a flight.
 
-    There are `count` points in each stage under full thrust, and further points in a long tail-off. `stage` restricts
-    the times to one stage. Under full thrust they are evenly spaced, and a single point is in the middle. `edges` are
-    the distances of the first and last point from the ends of full thrust, relative to its duration. They are at most
-    `JOINT` at a separation through which the stage continues to burn. See `tail_off_times` for the tail-off. Stages
-    with fixed engines are omitted. Raises ValueError if no stage remains.
+    There are `count` points in each burn of a stage under full thrust, and further points in a long tail-off. `stage`
+    restricts the times to one stage. Under full thrust they are evenly spaced, and a single point is in the middle.
+    `edges` are the distances of the first and last point from the ends of full thrust, relative to its duration. They
+    are at most `JOINT` at a separation through which the stage continues to burn. See `tail_off_times` for the
+    tail-off. Stages with fixed engines are omitted. Raises ValueError if no stage remains.
     """
     times, tails = list[float](), dict[int, list[float]]()
     stages = scenario.vehicle.stage
     burns = stage_burns(stages, scenario.scenario.fault)
-    for span in powered_spans(scenario):
+    spans = powered_spans(scenario)
+    for k, span in enumerate(spans):
         mine, burn = stages[span.stage], burns[span.stage]
         if stage in (None, span.stage) and any(engine.gimbal != "fixed" for engine in mine.engines):
             full = full_thrust(mine, burn)
-            begin, end = max(span.begin_s, full[0]), min(span.end_s, full[1])
+            begin, end = max(span.begin_s, full[0] + span.idle_s), min(span.end_s, full[1] + span.idle_s)
             early, late = edges
-            if mine.continues:
+            if k > 0 and spans[k - 1].end_s == span.begin_s:
                 early = min(early, JOINT)
-            if span.stage + 1 < len(stages) and stages[span.stage + 1].continues:
+            if k + 1 < len(spans) and spans[k + 1].begin_s == span.end_s:
                 late = min(late, JOINT)
             first, last = begin + early * (end - begin), end - late * (end - begin)
             chosen = np.linspace(first, last, count) if count > 1 else [0.5 * (first + last)]
             times += [round(float(t), 3) for t in chosen]
             if count > 1:
-                tails[span.stage] = tail_off_times(mine, burn, span.end_s, count)
+                tail_s = tail_off_times(mine, burn, span.end_s - span.idle_s, count)
+                tails[span.stage] = [round(t + span.idle_s, 3) for t in tail_s]
     if not times:
         which = "no stage" if stage is None else f"stage {stage + 1} not"
         raise ValueError(f"{scenario.label}: {which} under thrust by movable engines; there is no operating point")

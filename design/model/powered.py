@@ -15,17 +15,21 @@ from maxq.control.kernel.records import duplicate
 from maxq.sim.flight.parameters import EVENT_NAMES, NEVER, TUMBLE
 from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.flight import Event, LoggedRows
-from maxq.sim.run.fly import CONTROL_LOST_NAME, CUTOFF_NAME, DIVERGED_NAME, IGNITION_NAME, FlightRun
+from maxq.sim.run.fly import CONTROL_LOST_NAME, CUTOFF_NAME, DIVERGED_NAME, IGNITION_NAME, RESTART_NAME, FlightRun
 from maxq.sim.scenario.loader import LoadedScenario
 
 
 @dataclass(frozen=True)
 class Span:
-    """A part of the flight (s on the vehicle clock) in which a stage is under thrust and off the pad."""
+    """A part of the flight (s on the vehicle clock) in which a stage is under thrust and off the pad.
+
+    A stage has one span for each burn.
+    """
 
     stage: int  # from 0
     begin_s: float
     end_s: float
+    idle_s: float = 0.0  # sum of the preceding coasts before restarts, in which the tables of the stage stand still
 
     def holds(self, time_s: float) -> bool:
         """Return True for a time within the span."""
@@ -114,10 +118,10 @@ class _Resumed(FlightRun):
 
 
 def powered_flight(scenario: LoadedScenario, faults: bool = False) -> tuple[tuple[Span, ...], Event | None]:
-    """Return the powered span of each stage and the loss, from a flight to the last burnout, a cutoff or the loss.
+    """Return the powered spans and the loss, from a flight to the burnout or cutoff of the last burn, or to the loss.
 
-    After a cutoff, there are no spans: operating points are those of the first burn. The flight is simulated without a
-    log. The latest results are cached, since callers request spans, times and loss of one flight in turn.
+    The flight is simulated without a log. The latest results are cached, since callers request spans, times and loss of
+    one flight in turn.
     """
     ascent = _ascent(scenario, faults)
     if ascent.answer is None:
@@ -128,23 +132,28 @@ def powered_flight(scenario: LoadedScenario, faults: bool = False) -> tuple[tupl
 def _powered_flight(scenario: LoadedScenario, faults: bool) -> tuple[tuple[Span, ...], Event | None]:
     run, loss = flown_run(scenario, faults), None
     last = len(run.packed.parameters) - 1
-    clock, cut_off = run.memory.clock, False
-    while not (run.finished or cut_off) and loss is None and int(clock.stage_burnout_ns[last]) < 0:
+    burnout_ns = -1
+    while not run.finished and loss is None and burnout_ns < 0:
         run.fly_segment()
-        cut_off = int(clock.restarts) > 0 or 0 < int(clock.cut_off_ns) <= int(clock.now_ns)
+        burnout_ns = -1 if run.awaits_restart else int(run.memory.clock.stage_burnout_ns[last])
         loss = loss_of(run.events)
-    burnout_ns = int(run.memory.clock.stage_burnout_ns[last])
     if loss is not None and 0 <= burnout_ns < loss.time_ns:
         loss = None  # the loss belongs to the coast after burnout
     return spans_of(run.events, len(run.packed.parameters), run.now_s), loss
 
 
 def powered_spans(scenario: LoadedScenario) -> tuple[Span, ...]:
-    """Return the powered span of each stage that burns, in a flight without faults.
+    """Return the powered spans of a flight without faults.
 
     The spans end at a loss of the flight.
     """
     return powered_flight(scenario)[0]
+
+
+def by_burn(scenario: LoadedScenario, times_s: Iterable[float]) -> list[list[float]]:
+    """Return the given times within each powered span, in rising order. Spans without any of them are omitted."""
+    wanted = sorted(set(times_s))
+    return [mine for span in powered_spans(scenario) if (mine := [t for t in wanted if span.holds(t)])]
 
 
 def spans_of(events: Iterable[Event], stages: int, now_s: float) -> tuple[Span, ...]:
@@ -156,15 +165,24 @@ def spans_of(events: Iterable[Event], stages: int, now_s: float) -> tuple[Span, 
     loss = loss_of(found)
     now_s = now_s if loss is None else min(now_s, loss.time_s)
     lift_off_s = next((e.time_s for e in found if e.name == "liftoff"), -math.inf)
-    out, end_s, burns_on = [], math.inf, False
+    out, begin_s, cut_off_s, idle_s = list[Span](), math.inf, math.nan, 0.0
     for n in range(stages):
-        mine = [e for e in found if e.stage == (n + 1 if stages > 1 else 0)]
-        begin_s = next((e.time_s for e in mine if e.name == IGNITION_NAME), end_s if burns_on else math.inf)
-        end_s = min([now_s, *(e.time_s for e in mine if e.name in ("burnout", "separation", CUTOFF_NAME))])
-        ended = any(e.name in ("burnout", CUTOFF_NAME) for e in mine)
-        burns_on = math.isfinite(begin_s) and not ended  # the next stage continues the burn
-        if max(begin_s, lift_off_s) < end_s:
-            out.append(Span(n, max(begin_s, lift_off_s), end_s))
+        mine = sorted((e for e in found if e.stage == (n + 1 if stages > 1 else 0)), key=lambda e: e.time_ns)
+        named = [(event.name, event.time_s) for event in mine]
+        if "separation" not in (name for name, _ in named):
+            named.append(("", now_s))
+        for name, time_s in named:
+            if name in ("", "burnout", "separation", CUTOFF_NAME):
+                if max(begin_s, lift_off_s) < min(time_s, now_s):
+                    out.append(Span(n, max(begin_s, lift_off_s), min(time_s, now_s), idle_s))
+                # after a separation, the next stage continues the burn
+                begin_s = time_s if name == "separation" and math.isfinite(begin_s) else math.inf
+            if name == CUTOFF_NAME:
+                cut_off_s = time_s
+            elif name == RESTART_NAME:
+                idle_s += time_s - cut_off_s
+            if name in (IGNITION_NAME, RESTART_NAME):
+                begin_s = time_s
     return tuple(out)
 
 

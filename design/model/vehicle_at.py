@@ -169,8 +169,8 @@ def without_lateral_air(held: HeldStage) -> HeldStage:
     table = held.parameters[0].vehicle.aero.table
     first, intervals, columns = int(table.offset) + int(table.n_breaks), int(table.n_breaks) - 1, int(table.n_columns)
     pool = held.pool.copy()
-    rows = pool[first : first + intervals * 4 * columns].reshape(-1, columns)
-    if columns > aero.CD:  # at zero angle of attack, drag is an axial force
+    if columns > aero.CD:  # at zero angle of attack, drag is an axial force; a vehicle without air has no columns
+        rows = pool[first : first + intervals * 4 * columns].reshape(-1, columns)
         rows[:, aero.CA] += rows[:, aero.CD]
         rows[:, aero.CD] = 0.0
     return dataclasses.replace(held, pool=pool)

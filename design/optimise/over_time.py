@@ -15,6 +15,7 @@ import numpy as np
 from maxq.control.kernel.records import Array, IntArray
 from maxq.design.case.schema import CaseGains, LoadedCase
 from maxq.design.laws.law import DesignedLaw, LawVariables
+from maxq.design.model.powered import by_burn
 from maxq.design.optimise.at_nodes import make_problem, solve_at_nodes
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants, nodes_of
 from maxq.design.optimise.search import SearchProgress
@@ -69,8 +70,8 @@ def solve_over_time(
     """
     loaded = gains_at_nodes(loaded, nominal)
     case = loaded.case
-    first, last = case.times_s[0], case.times_s[-1]
-    grid = instants_along(first, last, INSTANTS_S)
+    burns = burns_of(loaded, case.times_s)
+    ends, grid = {t for burn in burns for t in burn}, instants_in(burns, INSTANTS_S)
     instants = Instants(loaded, dict(zip(case.times_s, nominal.each, strict=True)))
     solution, checked = solve_at_nodes(loaded, nominal, also_from, progress), Checked()
     try:
@@ -84,7 +85,7 @@ def solve_over_time(
             beside = {t + k * FINE_S for t in np.array(grid)[peaks(over, matters_db)] for k in range(-4, 5)}
             if beside:
                 # includes the first and the last node, since linear gains are defined at both ends of a problem
-                times_s = sorted({first, last, *(round(t, 9) for t in beside if first <= t <= last)})
+                times_s = sorted({*ends, *(round(t, 9) for t in beside if within(burns, t))})
                 over = instants.over(times_s, make_plants(instants.plants(times_s)), law, solution)
             checked = Checked(len({*grid, *times_s}), float(over.max(initial=0.0)))
             worst_s = np.array(times_s)[peaks(over, matters_db)].tolist() if beside else []
@@ -134,8 +135,34 @@ def instants_along(first_s: float, last_s: float, apart_s: float) -> list[float]
     return np.linspace(first_s, last_s, count).round(9).tolist()  # type: ignore[no-any-return]  # floats
 
 
-def instants_beside(times_s: Sequence[float]) -> list[float]:
-    """Return the instants between operating points of a stage at which limits are assessed."""
+EndsOfBurns = Sequence[tuple[float, float]]
+"""The first and the last operating point of a stage in each of its burns, s."""
+
+
+def burns_of(loaded: LoadedCase, times_s: Sequence[float]) -> EndsOfBurns:
+    """Return the first and the last of the operating points in each burn; one burn without a restart."""
+    several = loaded.points is None and loaded.along.scenario.guidance.restart
+    mine = by_burn(loaded.along, times_s) if several else [times_s]
+    return [(min(each), max(each)) for each in mine]
+
+
+def within(burns: EndsOfBurns, time_s: float) -> bool:
+    """Return True for a time between the first and the last operating point of a burn."""
+    return any(first <= time_s <= last for first, last in burns)
+
+
+def instants_in(burns: EndsOfBurns, apart_s: float) -> list[float]:
+    """Return the times of `instants_along` in each burn."""
+    return [t for first, last in burns for t in instants_along(first, last, apart_s)]
+
+
+def instants_beside(times_s: Sequence[float], burns: EndsOfBurns = ()) -> list[float]:
+    """Return the instants between operating points at which limits are assessed.
+
+    `burns` are those of a stage with restarts.
+    """
+    if burns:
+        return [t for each in burns for t in instants_beside([t for t in times_s if within([each], t)])]
     first, last = min(times_s), max(times_s)
     every = instants_along(first, last, max(INSTANTS_S, (last - first) / MOST_INSTANTS))
     return [t for t in every if t not in times_s]

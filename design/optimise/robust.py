@@ -34,7 +34,16 @@ from maxq.design.model.node import Node, disperse
 from maxq.design.model.spread import campaign_of
 from maxq.design.optimise.at_nodes import finished, make_problem, search_best, search_on
 from maxq.design.optimise.descent import Region, descend, to_corner
-from maxq.design.optimise.over_time import COARSE, UNSTABLE_DB, Instants, gains_at_nodes, instants_along, peaks
+from maxq.design.optimise.over_time import (
+    COARSE,
+    UNSTABLE_DB,
+    Instants,
+    burns_of,
+    gains_at_nodes,
+    instants_in,
+    peaks,
+    within,
+)
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
 from maxq.design.optimise.problem import Problem
 from maxq.design.optimise.search import BestPoint, SearchProgress, search
@@ -207,10 +216,11 @@ class _Worst:
                 np.maximum.at(out, of[first : first + AT_ONCE], self.scores(plants[first : first + AT_ONCE]))
             return out
 
-        grid = instants_along(times_s[0], times_s[-1], INSTANTS_S)
+        burns = burns_of(instants.loaded, times_s)
+        grid = instants_in(burns, INSTANTS_S)
         found = []
         for k in peaks(worst_at(grid)[None], np.zeros(1)):
-            fine = [t for t in (grid[k] + FINE_S * np.arange(-9, 10)).round(9) if times_s[0] <= t <= times_s[-1]]
+            fine = [t for t in (grid[k] + FINE_S * np.arange(-9, 10)).round(9) if within(burns, t)]
             score = worst_at(fine)
             j = int(np.argmax(score))
             found.append((float(score[j]), instants.plants(fine)[j].flown))

@@ -203,7 +203,7 @@ def _number(given: float | str, marks: Marks, label: str, where: str) -> float:
 
 
 def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
-    """Return the marks of the whole flight, and those of each stage that burns."""
+    """Return the marks of the whole flight, and those of the first burn of each stage."""
     log = LogSection(fast_hz=10.0, slow_hz=10.0, transform_hz=1.0)
     quiet = base.scenario.model_copy(update={"log": log, "fault": ()})
     flight, spans = fly(LoadedScenario(quiet, base.label, base.files)), powered_spans(base)
@@ -226,11 +226,12 @@ def _marks(base: LoadedScenario) -> tuple[Marks, list[Marks]]:
         for tone, hz in _tones_hz(node).items():
             out[f"{name}_{tone}_gust_m"] = min(float(f"{climb_mps / hz:.3g}"), _LONGEST_M)
     out["burnout_s"] = round(end_s, 3)
-    strongest = []
-    for span, under in zip(spans, burns, strict=True):
-        at = float(t[int(np.argmax(np.where(under, q, -1.0)))])
-        strongest.append(min(max(at, span.begin_s + _CLEAR_S), span.end_s - _CLEAR_S))
-    for span, at_s, node in zip(spans, strongest, operating_points.nodes(base, strongest), strict=True):
+    strongest, first = [], [k for k, span in enumerate(spans) if k == 0 or spans[k - 1].stage != span.stage]
+    for k in first:
+        at = float(t[int(np.argmax(np.where(burns[k], q, -1.0)))])
+        strongest.append(min(max(at, spans[k].begin_s + _CLEAR_S), spans[k].end_s - _CLEAR_S))
+    for k, at_s, node in zip(first, strongest, operating_points.nodes(base, strongest), strict=True):
+        span = spans[k]
         burn = span.end_s - span.begin_s
         mine: Marks = {
             "stage": span.stage,

@@ -224,7 +224,8 @@ def _points(e: Evidence, part: str, wanted: LinearMargins | CertificateWanted) -
     for span in e.spans:
         if all(engine.gimbal == "fixed" for engine in stages[span.stage].engines):
             continue
-        times = [span.begin_s, *e.points_s[part].get(span.stage, ()), span.end_s]
+        points_s = [t for t in e.points_s[part].get(span.stage, ()) if span.holds(t)]
+        times = [span.begin_s, *points_s, span.end_s]
         begin, end = max(pairwise(times), key=lambda pair: pair[1] - pair[0])
         if end - begin > FLOOR.gap * (span.end_s - span.begin_s):
             of = stage_name(e.along.vehicle, span.stage)

@@ -30,7 +30,7 @@ from maxq.sim.flight.metric_table import unit_of
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import Verdict
-from maxq.sim.run.quantities import against_limit, number_text, sign_of
+from maxq.sim.run.quantities import number_text, sign_of
 from maxq.sim.scenario.flight_code import flight_code_key
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.sim.scenario.schema_scenario import LogSection, Scenario
@@ -377,14 +377,10 @@ def campaign_requirements(result: CampaignResult) -> list[JudgedRequirement]:
     level = f"{100.0 * result.success:g} % with {100.0 * result.confidence:g} %"
     out = []
     for v in result.verdicts:
-        sense = sign_of(v.kind)
+        sense, (most, limit, unit) = sign_of(v.kind), v.worst_text
+        bound = f"{sense} {limit} {unit}".rstrip() + ", " if v.metric else ""
         worst = v.worst[0] if v.worst else None
-        bound, found = "", f"{v.shown.failures} of {v.shown.runs} failed"
-        if v.metric:
-            value = worst.value if worst is not None else math.nan
-            shown, limit, unit = against_limit(value, v.kind, v.bound, v.unit)
-            bound = f"{f'{sense} {limit} {unit}'.rstrip()}, "
-            found += f", worst {shown} {unit}".rstrip() if worst is not None else ""
+        found = f"{v.shown.failures} of {v.shown.runs} failed" + (f", worst {most} {unit}".rstrip() if worst else "")
         left = suite.room_left(worst.value, v.bound, sense) if worst is not None else math.nan
         run, gone = worst.run if worst else v.first_missed, result.first_lost
         if not (v.metric or v.joint) and gone is not None:

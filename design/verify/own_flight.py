@@ -28,7 +28,7 @@ from maxq.design.case.schema import LoadedCase
 from maxq.design.model.node import Node, flown_point
 from maxq.design.model.powered import loss_text, powered_flight
 from maxq.design.optimise.at_nodes import make_problem
-from maxq.design.optimise.over_time import gains_at_nodes, instants_beside, with_nodes
+from maxq.design.optimise.over_time import burns_of, gains_at_nodes, instants_beside, with_nodes
 from maxq.design.optimise.plants import Plants, make_plant, make_plants, nodes_of
 from maxq.design.optimise.search import SearchProgress
 from maxq.design.optimise.solution import Solution
@@ -321,7 +321,7 @@ def _worst_between(loaded: LoadedCase, solution: Solution, design: Design) -> li
     case, points_s = loaded.case, tuple(node.time_s for node in solution.nodes)
     if case.between_nodes != "hold":
         return []
-    nodes = [*solution.nodes, *nodes_of(loaded, instants_beside(points_s))]
+    nodes = [*solution.nodes, *nodes_of(loaded, instants_beside(points_s, burns_of(loaded, points_s)))]
     found = stage_checks(judge(nodes, design, case.loop), design, case.basis("", points_s), case.loop)
     worst_s = worst_times_s(found).difference(points_s)
     return [flown_point(node) for node in nodes if node.time_s in worst_s]

@@ -22,7 +22,7 @@ from maxq.design.loop.loop import law_at
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
 from maxq.design.model.node_times import MEASURED_EDGES, node_times
-from maxq.design.model.powered import powered_spans
+from maxq.design.model.powered import by_burn, powered_spans
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify import linear
 from maxq.design.verify.described import DescribedVehicles
@@ -109,9 +109,9 @@ class Parts:
         if design is not None and wanted.between_nodes == "hold":
 
             def between() -> tuple[float, ...]:
-                """Return the worst instants of every stage whose operating points are in one powered span."""
-                by_stage = self._by_span(times_s).values()
-                return tuple(t for mine in by_stage for t in linear.worst_instants(along, design, mine, wanted.nominal))
+                """Return the worst instants of every burn with operating points."""
+                burns = by_burn(self.along, times_s)
+                return tuple(t for mine in burns for t in linear.worst_instants(along, design, mine, wanted.nominal))
 
             limits = told(wanted.nominal)
             found = self.memory.recall("instants", (*depends, repr(design), limits), between, plane)
@@ -224,9 +224,7 @@ class Parts:
         base, spans = self.scenario.scenario, powered_spans(self.along)
         parts = self.by_stage("worst vehicle", wanted)
         for (nodes, name, watch), flights in zip(parts, self.trajectories or itertools.repeat([]), strict=False):
-            end_s = next(
-                span.end_s for span in spans if span.holds(nodes[0].time_s)
-            )  # flies until that stage's burnout
+            end_s = max(span.end_s for span in spans if span.holds(nodes[-1].time_s))  # its last burn
             run = base.run.model_copy(update={"duration_s": round(end_s - base.run.start_s, 9)})
             loaded = replace(self.scenario, scenario=base.model_copy(update={"run": run}))
             described = self.described.at(nodes[0])
@@ -245,11 +243,10 @@ class Parts:
     def points_s(self, *parts: LinearMargins | CertificateWanted | None) -> dict[int, list[float]]:
         """Return the times of the operating points of parts of the suite, by stage; empty without parts."""
         times = sorted({t for part in parts if part is not None for t in self.times_s(part)})
-        return self._by_span(times) if times else {}
-
-    def _by_span(self, times: Sequence[float]) -> dict[int, list[float]]:
-        """Return the times within the powered span of each stage."""
-        return {span.stage: [t for t in times if span.holds(t)] for span in powered_spans(self.along)}
+        out: dict[int, list[float]] = {}
+        for span in powered_spans(self.along) if times else ():
+            out.setdefault(span.stage, []).extend(t for t in times if span.holds(t))
+        return out
 
     def uncovered(self) -> tuple[Uncovered, ...]:
         """Return the intervals without operating points, or an empty result if the suite requires none."""
@@ -264,10 +261,10 @@ class Parts:
         )
 
     def authority_times_s(self) -> list[float]:
-        """Return times at intervals of 1 s between the first and the last operating point of each stage."""
-        named = self.points_s(self.suite.margins, self.suite.certificate) or self._by_span(node_times(self.along))
+        """Return times at intervals of 1 s between the first and the last operating point of each burn."""
+        named = self.points_s(self.suite.margins, self.suite.certificate).values() or [node_times(self.along)]
         times: list[float] = []
-        for mine in filter(None, named.values()):
+        for mine in by_burn(self.along, itertools.chain.from_iterable(named)):
             times += [t for t in np.arange(mine[0], mine[-1] + 0.5, 1.0).tolist() if t <= mine[-1]]
         return times
 

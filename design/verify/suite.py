@@ -204,7 +204,7 @@ class LinearMargins(Section):
 
     times_s: tuple[NotNegative, ...] | None = optional(TIMES, min_length=1)
     nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional(
-        "number of operating points in a stage without times_s", NODES_PER_STAGE
+        "number of operating points in each burn of a stage without times_s", NODES_PER_STAGE
     )
     edges: tuple[RelativeDeviation, RelativeDeviation] = optional(
         "shares of a stage's burn at its start (on the pad) and end without such operating points", EDGES
@@ -248,7 +248,7 @@ class CertificateWanted(Section):
 
     times_s: tuple[NotNegative, ...] | None = optional(TIMES, min_length=1)
     nodes_per_stage: Annotated[int, Field(ge=1, le=1000)] = optional(
-        "number of operating points in a stage without times_s", NODES_PER_STAGE
+        "number of operating points in each burn of a stage without times_s", NODES_PER_STAGE
     )
     planes: tuple[Plane, ...] = optional("pitch, yaw", ("pitch", "yaw"), min_length=1)
     in_flight: bool = optional(

@@ -32,7 +32,6 @@ MOST_INSTANTS = 300  # largest number of instants in a coast
 GROWS = 2.0  # least growth factor of a disturbance for which a coast is listed
 TAIL_INSTANTS = 41  # number of instants in a long tail-off
 TAIL_OFF = "tail-off, with less than"
-RESTARTED = "burns after a restart, no operating point"
 
 
 @dataclass(frozen=True)
@@ -67,14 +66,12 @@ def uncovered(
     found: list[Uncovered] = []
     for span in spans:
         stage, burn = stages[span.stage], burns[span.stage]
-        mine, full_end_s = sorted(points_s.get(span.stage, ())), full_thrust(stage, burn)[1]
-        share = thrust_share(stage, burn, mine[-1]) if mine and mine[-1] > full_end_s else FULL
+        mine = sorted(t for t in points_s.get(span.stage, ()) if span.holds(t))
+        full_end_s = full_thrust(stage, burn)[1] + span.idle_s
+        share = thrust_share(stage, burn, mine[-1] - span.idle_s) if mine and mine[-1] > full_end_s else FULL
         found += _of_span(span, mine, full_end_s, share)
         if span.stage in at_points_only and len(mine) > 1:
             found.append(Uncovered(span.stage, mine[0], mine[-1], BETWEEN))
-    if flight.scenario.guidance.restart and spans and loss is None:
-        run = flight.scenario.run
-        found.append(Uncovered(spans[-1].stage, spans[-1].end_s, run.start_s + run.duration_s, RESTARTED))
     if loss is None:
         found = _with_authority(flight, found, plane)
         found += _unstable_coasts(flight, spans, plane)

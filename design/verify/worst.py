@@ -301,13 +301,17 @@ def search_plane(
     searched, loops = [*zip(at, results, strict=True)], sum(n for _, _, n in results)
     searches, flight_of = len(nodes) + further * (wanted.starts - 1), dict[int, int]()
     if nodes_at is not None and len(nodes) > 1:
+        in_burns = (list(mine) for _, mine in itertools.groupby(nodes, lambda node: node.stage_start_s))
+        burns = [(mine[0].time_s, mine[-1].time_s) for mine in in_burns]
         for step_s in INSTANTS_S:
-            begin, end = nodes[0].time_s, nodes[-1].time_s
             if step_s < max(INSTANTS_S):
                 best_s = min(searched, key=lambda each: each[1][0])[0].time_s
-                begin, end = max(begin, best_s - max(INSTANTS_S)), min(end, best_s + max(INSTANTS_S))
-            known_s = {node.time_s for node, _ in searched}
-            instants = np.arange(begin, end, max(step_s, (end - begin) / _MOST_INSTANTS)).round(6).tolist()
+                a, b = best_s - max(INSTANTS_S), best_s + max(INSTANTS_S)
+                burns = [(max(begin, a), min(end, b)) for begin, end in burns if begin <= best_s <= end]
+            known_s, instants = {node.time_s for node, _ in searched}, list[float]()
+            for begin, end in burns:
+                step = max(step_s, (end - begin) / _MOST_INSTANTS)
+                instants += np.arange(begin, end, step).round(6).tolist() if end > begin else []
             found, count = _refined_beside(
                 nodes_at([t for t in instants if t not in known_s]), searched, design, campaign, wanted, workers
             )

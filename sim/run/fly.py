@@ -256,15 +256,17 @@ class FlightRun:
     def _cutoffs_ns(self, clock: Clock) -> list[int]:
         """Return the times of the cutoffs before restarts, ns."""
         times_ns = [int(time_ns) for time_ns in clock.restart_cut_off_ns[: clock.restarts]]
-        return [*times_ns, clock.cut_off_ns] if self._awaits_restart(clock) else times_ns
+        return [*times_ns, clock.cut_off_ns] if self.awaits_restart else times_ns
 
     def _is_no_burnout(self, clock: Clock, index: int) -> bool:
         """Return True if the burnout of a stage is a cutoff before a restart, or that of the preceding stage."""
         time_ns, before_ns = (int(clock.stage_burnout_ns[k]) for k in (index, index - 1))
         return time_ns in self._cutoffs_ns(clock) or (index > 0 and time_ns == before_ns)
 
-    def _awaits_restart(self, clock: Clock) -> bool:
+    @property
+    def awaits_restart(self) -> bool:
         """Return True if the vehicle is in a coast before a restart."""
+        clock = self.clock
         burns = self.packed.parameters[clock.stage].computer.burns
         return 0 < clock.cut_off_ns <= clock.now_ns and clock.restarts + 1 < burns.count
 

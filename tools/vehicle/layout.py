@@ -251,7 +251,7 @@ class LayoutFins(Section):
 class LayoutBooster(Between):
     """Equal boosters attached to the core of a stage, rigid bodies."""
 
-    name: values.ChannelPart = Field(description="name of the booster; several are numbered")
+    name: values.ChannelPart = Field(description="name of the booster (letters a-z, digits, _); several are numbered")
     positions_m: tuple[Pair, ...] = Field(min_length=1, description="y and z of each axis from the body axis, m")
     attachments_m: tuple[float, ...] = Field(
         min_length=1,

@@ -116,7 +116,11 @@ class ThrustCurve:
 
     @property
     def impulse_Ns(self) -> float:
-        return float(self._impulse(self.end_s))
+        return self.impulse_until_Ns(self.end_s)
+
+    def impulse_until_Ns(self, t: float) -> float:
+        """Return the impulse in vacuum up to time `t` (s)."""
+        return float(self._impulse(np.clip(t, 0.0, self.end_s)))
 
     def thrust_vacuum_N(self, t: float) -> float:
         if not 0.0 <= t <= self.end_s:
@@ -266,6 +270,20 @@ class Stack:
     def has_long_tail(self) -> bool:
         """Return True if the tail-off in this part is long enough for operating points."""
         return self.leave_s is None and self.burn.end_s - self.full_s[1] >= LONG_TAIL_S
+
+    @property
+    def impulse_Ns(self) -> float:
+        """Return the impulse in vacuum of all engines, boosters included, in this part of the burn."""
+        curves = [(self.burn, 1), *((s.burn, len(s.booster.positions_m)) for s in self.boosters)]
+        ends = self.begins_s, self.end_s
+        return sum(n * float(np.diff([curve.impulse_until_Ns(t) for t in ends])[0]) for curve, n in curves)
+
+    @property
+    def largest_thrust_N(self) -> float:
+        """Return the largest thrust in vacuum of all engines, boosters included, in this part of the burn."""
+        rows = np.concatenate([self.burn.times_s, *(s.burn.times_s for s in self.boosters)])
+        inside = rows[(rows >= self.begins_s) & (rows <= self.end_s)].tolist()
+        return max(self.thrusts_N(t, 0.0)[0] for t in (self.begins_s, *inside))
 
     def thrusts_N(self, t: float, pressure_Pa: float) -> tuple[float, float]:
         """Return the thrust of all engines at ambient pressure, and that of gimballed ones.

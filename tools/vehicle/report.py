@@ -79,15 +79,14 @@ def _stages(built: Built) -> LayoutTable:
     for n, stack in enumerate(built.stacks):
         first, last = (stack.mass_properties(t).mass_kg for t in (stack.begins_s, stack.end_s))
         point = [p for p in built.flight.points if p.number == n][-1]
-        thrust = float(stack.burn.thrust_N.max())
-        gained = stack.burn.impulse_Ns / (first - last) * math.log(first / last)
+        gained = stack.impulse_Ns / (first - last) * math.log(first / last)
         rows.append(
             (
                 stack.name,
                 f"{first:.0f}",
                 f"{last:.0f}",
-                f"{stack.burn.end_s - stack.burn.start_s:.1f}",
-                f"{thrust / first / STANDARD_GRAVITY_mps2:.2f}",
+                f"{stack.end_s - max(stack.begins_s, stack.burn.start_s):.1f}",
+                f"{stack.largest_thrust_N / first / STANDARD_GRAVITY_mps2:.2f}",
                 f"{gained:.0f}",
                 f"{point.speed_mps:.0f}",
                 f"{point.altitude_m / 1e3:.1f}",
