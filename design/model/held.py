@@ -393,7 +393,7 @@ def hold_stage(packed: Packed, clock_s: float, stage: int = 0) -> HeldStage:
     environment["penetration"], environment["turbulence"]["on"] = 0, 0
     environment["turbulence"]["frame"] = BODY
     environment["wind"]["profile"]["n_columns"], environment["wind"]["n_gusts"] = 0, 0
-    rows["injections"]["count"] = 0
+    rows["injections"]["count"], vehicle["buffet"]["factor"] = 0, 0.0
     for actuator in (vehicle["actuator_pitch"], vehicle["actuator_yaw"], vehicle["further_actuators"]):
         for name, value in _UNIT.items():
             actuator[name] = value

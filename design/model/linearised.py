@@ -73,11 +73,15 @@ def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
     if memory[0].clock.started == 0:
         begin(packed.parameters, packed.pool, memory, packed.state.copy())
     stage = packed.parameters[int(memory[0].clock.stage)]
+    parameters = packed.parameters
+    if int(stage.vehicle.sizes.buffets) > 0:  # a random force is not part of the model
+        parameters = parameters.copy()
+        parameters["vehicle"]["buffet"]["factor"] = 0.0
     coordinates, inputs = coordinates_of(stage.vehicle.sizes), inputs_of(stage.vehicle.sizes)
     n, m, stations = len(coordinates), len(inputs), int(stage.loads.stations)
     steps = np.array([*coordinates.values(), *[_STEP_COMMAND] * m])
     rate, slopes = differentiate(
-        packed.parameters, packed.pool, memory, y, round(1e9 * time_s), np.arange(n + m), steps, stations=stations
+        parameters, packed.pool, memory, y, round(1e9 * time_s), np.arange(n + m), steps, stations=stations
     )
     outputs = (
         *OUTPUTS,

@@ -23,6 +23,7 @@ from maxq.sim.flight.channels import ChannelTable, Topic, declared_channels, dec
 from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
 from maxq.sim.flight.parameters import Memory, Parameters
 from maxq.sim.vehicle.actuator.kernel import ActuatorRow, actuator_row
+from maxq.sim.vehicle.buffet.kernel import BuffetRow, buffet_row
 from maxq.sim.vehicle.engine.kernel import EngineRow, GroupRow, engine_row, group_row
 from maxq.sim.vehicle.environment import AirData
 from maxq.sim.vehicle.loads.kernel import SectionRow, section_row
@@ -118,6 +119,8 @@ def fill_fast(p: Parameters, out: Logged, memory: Memory, at: Evaluation, row: A
             column = put(row, column, group_row(sizes.further_groups, group, memory.held.command_rad, engines))
     for number in range(out.engines):
         column = put(row, column, engine_row(p.vehicle.engine, number, engines))
+    for station in range(logged.buffets):
+        column = put(row, column, buffet_row(sizes.buffets, station, aux.buffet_N))
     if out.external == 1:
         column = put(row, column, monitor_row(memory.computer.external))
     if out.adaptive == 1:
@@ -348,6 +351,9 @@ def channel_table(
     thrusts = [declared_channels(EngineRow, "engine", f"engine_{name}", f"engine {name}") for name in engines]
     if moved or thrusts:
         topics.append(Topic("/engines", FAST, sum(moved + thrusts, ()), "groups of engines, and engines"))
+    buffet = [declared_channels(BuffetRow, "place", str(n), f"station {n}") for n in range(1, sizes.buffets + 1)]
+    if buffet:
+        topics.append(Topic("/buffet", FAST, sum(buffet, ()), "forces of buffet"))
     if external:
         topics.append(Topic("/flight_code", FAST, declared_channels(MonitorRow), "external flight code"))
     if adaptive:

@@ -108,6 +108,7 @@ def step_ns(scenario: Scenario, stage: Stage) -> int:
         for name, hz, _ in found
     ]
     fastest_hz += [(hz, 2880.0) for given in scenario.injection for hz in given.highest_hz]
+    fastest_hz += [(float(stage.buffet.frequency_hz[-1]), 2880.0)] if stage.buffet is not None else []
     longest_s = [(share * accuracy) ** 0.25 / (2.0 * math.pi * hz) for hz, share in fastest_hz if hz > 0.0]
     return int(NS_PER_S * min((LONGEST_S, *longest_s))) >> scenario.run.halvings
 

@@ -18,6 +18,7 @@ from maxq.sim.scenario.schema_booster import FORM, LISTED, Booster, Engines
 from maxq.sim.vehicle.actuator.section import ActuatorSection
 from maxq.sim.vehicle.air.section import AeroSection
 from maxq.sim.vehicle.body.section import Mass, Reference, joined
+from maxq.sim.vehicle.buffet.section import BuffetSection
 from maxq.sim.vehicle.engine.section import EngineSection, RollThrusters
 from maxq.sim.vehicle.loads.section import LoadsSection, check_loads
 from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
@@ -159,11 +160,17 @@ class Stage(Section):
     booster: tuple[Booster, ...] = optional("bodies attached to the core; those that stay longest come first", ())
     roll_thrusters: RollThrusters | None = optional("absent: no roll control")
     loads: LoadsSection | None = optional("absent: no section loads")
+    buffet: BuffetSection | None = optional("absent: no buffet")
 
     @property
     def sensors(self) -> tuple[RateGyro | Accelerometer, ...]:
         """Return the sensors in addition to the first gyro: the other rate gyros, then the accelerometer."""
         return (*self.rate_gyro, *((self.accelerometer,) if self.accelerometer is not None else ()))
+
+    @property
+    def acted_stations_m(self) -> tuple[float, ...]:
+        """Return the stations at which buffet acts."""
+        return self.buffet.stations_m if self.buffet is not None else ()
 
     @property
     def counts(self) -> tuple[int, ...]:
@@ -504,6 +511,8 @@ class Stage(Section):
         for n, table in enumerate(self.aero.coefficients if self.aero is not None else ()):
             if table.station_m is not None:
                 needed.append((("aero", "coefficients", n, "station_m"), table.station_m))
+        if self.buffet is not None:
+            needed += [(("buffet", "table"), station) for station in self.buffet.stations_m]
         for _, modes in self.mode_tables():
             nose, tail = float(modes.station_m[0]), float(modes.station_m[-1])
             for key, station in needed:

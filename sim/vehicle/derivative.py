@@ -39,6 +39,7 @@ from maxq.sim.vehicle.air.kernel import (
 )
 from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, are_usual, counts, rigid_counts, usual_counts
 from maxq.sim.vehicle.body import kernel as rigid
+from maxq.sim.vehicle.buffet.kernel import Buffet, buffet_loads
 from maxq.sim.vehicle.clamp import clamp_tail
 from maxq.sim.vehicle.engine.kernel import (
     Deflected,
@@ -110,6 +111,7 @@ class StageRecord:
     bending: Bending
     spatial_modes: SpatialModes
     slosh: Slosh
+    buffet: Buffet
     rate_damping: TableRef  # columns about x, y, z over the schedule's clock, N m s/rad; NO_TABLE: none
     roll_torque_Nm: float
     turn_torque_Nm: float  # of the thrusters in pitch and yaw
@@ -148,6 +150,8 @@ class StageInputs:
     gust_y_mps: float
     gust_z_mps: float
     thrust_share: float  # injected thrust of all engines, relative to their thrust
+    now_ns: int  # start of the step, and time since then, for the buffet
+    elapsed_s: float
 
 
 @kernel
@@ -268,6 +272,20 @@ def _derivative(
     aero_force, aero_moment = aerodynamics(
         vehicle, sizes, environment, pool, held, rotation, rate, properties, y, work, aux.air
     )
+    if sizes.buffets > 0:
+        buffet_loads(
+            vehicle.buffet,
+            vehicle.sizes,
+            pool,
+            inputs.now_ns,
+            inputs.elapsed_s,
+            aux.air.mach,
+            aux.air.dynamic_pressure_Pa,
+            properties,
+            modes,
+            work.buffet,
+            aux.buffet_N,
+        )
     thrust_force, thrust_moment, gimbal_load = thrust_loads(
         vehicle, sizes, engine, inputs.thrust_share, properties, work, aux
     )
@@ -281,6 +299,8 @@ def _derivative(
 
     force = add(add(aero_force, thrust_force), (inputs.force_x_N, inputs.force_y_N, inputs.force_z_N))
     moment = add(aero_moment, thrust_moment)
+    if sizes.buffets > 0:
+        force, moment = add(force, vector_at(work.buffet.load, 0)), add(moment, vector_at(work.buffet.load, 3))
     if held.settling_N > 0.0:
         force, axial_load = add(force, (held.settling_N, 0.0, 0.0)), axial_load + held.settling_N * inverse_mass
     if held.turn_torque_Nm[0] != 0.0 or held.turn_torque_Nm[1] != 0.0:

@@ -146,6 +146,12 @@ def turning_row(sizes: Sizes | Counts, mode: int) -> int:
 
 
 @formula
+def first_acted(sizes: Sizes | Counts) -> int:
+    """Return the index, among the stations of gimbals, of the first station at which buffet acts."""
+    return sizes.gimbals - sizes.sensors - sizes.buffets
+
+
+@formula
 def gimbal_row(sizes: Sizes | Counts, gimbal: int) -> int:
     """Return the row of the shapes at a station of gimbals; the row of the slopes follows."""
     return MODE_PHI_GIMBAL if gimbal == 0 else surface_row(sizes, sizes.surfaces) + 2 * (gimbal - 1)
