@@ -13,6 +13,7 @@ MAX_SURFACES = 8  # lifting surfaces per stage
 MAX_LOAD_STATIONS = 24  # stations per stage at which section loads are evaluated
 MAX_TVC_LOADS = MAX_ENGINES  # per stage: engines with a compliant mount
 MAX_BUFFETS = 8  # stations per stage at which buffet acts
+MAX_FEED_LINES = 4  # per stage
 MAX_SENSORS = 5  # per stage: rate gyros after the first, and the accelerometer
 MAX_LATENCY = 8  # largest delay of a sensor's output, samples
 MAX_GUSTS = 16

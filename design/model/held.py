@@ -333,8 +333,11 @@ class _PlaneOf:
             wanted += [f"tvc_load_{k + 1}_{axis}_{what}" for k, axis in swings]
         self.states = [at[name] for name in wanted]
         signs += [1.0] * (2 * (spatial + modes + tanks)) + [-1.0 if axis == "yaw" else 1.0 for _, axis in swings] * 2
+        feed = [name for name in at if name.startswith("feed_")] if spatial else []  # they act through axial modes
+        self.states += [at[name] for name in feed]
+        signs += [1.0] * len(feed)
+        self.names = (*state_names(spatial + modes, tanks, len(swings)), *feed)
         self.signs = np.array(signs)
-        self.names = state_names(spatial + modes, tanks, len(swings))
         self.rate = at[f"gyro_{plane}_rad"]
         self.sensors, self.sensed, self.sensed_signs = [], [], []
         for k in range(int(sizes.sensors)):

@@ -438,15 +438,18 @@ def keep_parts(old: Counts, new: Counts, turned: vec.Vector, whole: Array, y: Ar
         i, j = states.pendulum_index(new, tank), states.pendulum_index(old, tank)
         vec.set_vector(y, i, vec.rotate_back(rotation, vec.vector_at(whole, j)))
         vec.set_vector(y, i + 3, vec.rotate_back(rotation, vec.vector_at(whole, j + 3)))
-    for kind in range(3):
+    for kind in range(4):
         i, j, n = states.actuator_index(new, 1), states.actuator_index(old, 1), 2 * states.N_ACTUATOR
         n *= new.further_groups
         if kind == 1:
             i, j = states.tvc_load_index(new), states.tvc_load_index(old)
-            n = states.sensor_index(new, 0) - i
+            n = states.feed_index(new) - i
         if kind == 2:
             i, j = states.sensor_index(new, 0), states.sensor_index(old, 0)
             n = states.N_SENSOR * new.sensors
+        if kind == 3:
+            i, j = states.feed_index(new), states.feed_index(old)
+            n = states.N_FEED * min(new.feed_lines, old.feed_lines)
         for k in range(n):
             y[i + k] = whole[j + k]
 

@@ -26,6 +26,7 @@ from maxq.sim.vehicle.actuator.kernel import ActuatorRow, actuator_row
 from maxq.sim.vehicle.buffet.kernel import BuffetRow, buffet_row
 from maxq.sim.vehicle.engine.kernel import EngineRow, GroupRow, engine_row, group_row
 from maxq.sim.vehicle.environment import AirData
+from maxq.sim.vehicle.feed.kernel import FeedRow, feed_row
 from maxq.sim.vehicle.loads.kernel import SectionRow, section_row
 from maxq.sim.vehicle.modes.planar import BendingRow, ModeRow, bending_row, put_modes
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
@@ -46,6 +47,7 @@ from maxq.sim.vehicle.state import (
     W_BI_B,
     Sizes,
     eta_index,
+    feed_index,
     pendulum_index,
     sensor_index,
     spatial_index,
@@ -121,6 +123,8 @@ def fill_fast(p: Parameters, out: Logged, memory: Memory, at: Evaluation, row: A
         column = put(row, column, engine_row(p.vehicle.engine, number, engines))
     for station in range(logged.buffets):
         column = put(row, column, buffet_row(sizes.buffets, station, aux.buffet_N))
+    for line in range(logged.feed_lines):
+        column = put(row, column, feed_row(sizes.feed_lines, line, y, feed_index(sizes)))
     if out.external == 1:
         column = put(row, column, monitor_row(memory.computer.external))
     if out.adaptive == 1:
@@ -354,6 +358,9 @@ def channel_table(
     buffet = [declared_channels(BuffetRow, "place", str(n), f"station {n}") for n in range(1, sizes.buffets + 1)]
     if buffet:
         topics.append(Topic("/buffet", FAST, sum(buffet, ()), "forces of buffet"))
+    lines = [declared_channels(FeedRow, "line", str(n), f"feed line {n}") for n in range(1, sizes.feed_lines + 1)]
+    if lines:
+        topics.append(Topic("/feed", FAST, sum(lines, ()), "oscillations in feed lines"))
     if external:
         topics.append(Topic("/flight_code", FAST, declared_channels(MonitorRow), "external flight code"))
     if adaptive:

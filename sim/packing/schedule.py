@@ -57,6 +57,7 @@ def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes
         len(swinging(stage, cluster, switches)),
         len(stage.sensors),
         len(stage.buffet.stations_m) if stage.buffet is not None else 0,
+        len(stage.feed_line),
     )
 
 

@@ -9,7 +9,15 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, Tag, model_validator
 
-from maxq.control.kernel.limits import MAX_BOOSTERS, MAX_ENGINES, MAX_PENDULUMS, MAX_SENSORS, MAX_STAGES, MAX_SURFACES
+from maxq.control.kernel.limits import (
+    MAX_BOOSTERS,
+    MAX_ENGINES,
+    MAX_FEED_LINES,
+    MAX_PENDULUMS,
+    MAX_SENSORS,
+    MAX_STAGES,
+    MAX_SURFACES,
+)
 from maxq.control.structures import Attitude
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.values import TABLE_FORM, NotNegative, Period, Positive, Seconds, Section, Triple, optional
@@ -20,6 +28,7 @@ from maxq.sim.vehicle.air.section import AeroSection
 from maxq.sim.vehicle.body.section import Mass, Reference, joined
 from maxq.sim.vehicle.buffet.section import BuffetSection
 from maxq.sim.vehicle.engine.section import EngineSection, RollThrusters
+from maxq.sim.vehicle.feed.section import FeedLineSection
 from maxq.sim.vehicle.loads.section import LoadsSection, check_loads
 from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
 from maxq.sim.vehicle.modes.tables import (
@@ -161,6 +170,9 @@ class Stage(Section):
     roll_thrusters: RollThrusters | None = optional("absent: no roll control")
     loads: LoadsSection | None = optional("absent: no section loads")
     buffet: BuffetSection | None = optional("absent: no buffet")
+    feed_line: tuple[FeedLineSection, ...] = optional(
+        "feed lines whose oscillations couple with axial modes", (), max_length=MAX_FEED_LINES
+    )
 
     @property
     def sensors(self) -> tuple[RateGyro | Accelerometer, ...]:
@@ -169,20 +181,22 @@ class Stage(Section):
 
     @property
     def acted_stations_m(self) -> tuple[float, ...]:
-        """Return the stations at which buffet acts."""
-        return self.buffet.stations_m if self.buffet is not None else ()
+        """Return the stations of feed lines and of buffet."""
+        buffet_m = self.buffet.stations_m if self.buffet is not None else ()
+        return (*(line.bottom_station_m for line in self.feed_line), *buffet_m)
 
     @property
     def counts(self) -> tuple[int, ...]:
         """Return the numbers of parts that keep their state when a stage continues.
 
-        These are engine groups, pendulums, modes in pitch, in yaw and in space, and 1 for TVC loads.
+        These are engine groups, pendulums, modes in pitch, in yaw and in space, 1 for TVC loads, and feed lines.
         """
         bending, spatial = self.bending, self.spatial_modes
         planes = (bending.pitch_modes, bending.yaw_modes) if bending is not None else (None, None)
         modes = [0 if plane is None else plane.modes for plane in planes]
         spatial_modes = len(spatial.damping_ratio) if spatial else 0
-        return len(self.engine_groups), len(self.pendulum_names), *modes, spatial_modes, int(self.tvc_load is not None)
+        loads, lines = int(self.tvc_load is not None), len(self.feed_line)
+        return len(self.engine_groups), len(self.pendulum_names), *modes, spatial_modes, loads, lines
 
     def leaving(self, following: Stage) -> tuple[Booster, ...]:
         """Return the boosters that leave before the next stage; none if the core leaves too."""
@@ -335,6 +349,10 @@ class Stage(Section):
             if name in names[:n]:
                 raise refuse("is already the name of another tank", "each name once", ("tank", n, "name"), value=name)
         self._check_engines()
+        for n, line in enumerate(self.feed_line):
+            if line.engine >= len(self.own_engines):
+                allowed = f"0 .. {len(self.own_engines) - 1}" if self.own_engines else "a stage with an engine"
+                raise refuse("the core has no such engine", allowed, ("feed_line", n, "engine"), value=line.engine)
         self._check_groups("actuator", self.actuator, all_of_them=True)
         if len(self.pendulum_names) > MAX_PENDULUMS:
             problem = f"{len(self.pendulum_names)} slosh modes in all"
@@ -511,6 +529,9 @@ class Stage(Section):
         for n, table in enumerate(self.aero.coefficients if self.aero is not None else ()):
             if table.station_m is not None:
                 needed.append((("aero", "coefficients", n, "station_m"), table.station_m))
+        needed += [
+            (("feed_line", n, "bottom_station_m"), line.bottom_station_m) for n, line in enumerate(self.feed_line)
+        ]
         if self.buffet is not None:
             needed += [(("buffet", "table"), station) for station in self.buffet.stations_m]
         for _, modes in self.mode_tables():

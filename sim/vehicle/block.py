@@ -17,6 +17,7 @@ from maxq.control.kernel.jit import integer, kernel
 from maxq.control.kernel.limits import (
     MAX_BUFFETS,
     MAX_ENGINES,
+    MAX_FEED_LINES,
     MAX_MODES,
     MAX_PENDULUMS,
     MAX_SENSORS,
@@ -38,11 +39,12 @@ class Sizes:
     spatial_modes: int = 0
     further_groups: int = 0  # groups of engines that move together, after the first group
     engines: int = 1  # equal engines of a group are combined (engine/kernel.py); 1 without an engine
-    gimbals: int = 1  # stations of gimbals, of buffet, then of sensors, at which mode shapes are evaluated
+    gimbals: int = 1  # stations of gimbals, feed lines, buffet, then sensors, at which mode shapes are evaluated
     thrust_curves: int = 1  # columns of the schedule
     tvc_loads: int = 0  # engines with a compliant mount
     sensors: int = 0  # rate gyros after the first, and the accelerometer
     buffets: int = 0  # stations of buffet
+    feed_lines: int = 0
     mode_groups: int = field(init=False)  # number of groups of four modes in a plane, rounded up
 
     def __post_init__(self) -> None:
@@ -58,11 +60,12 @@ LARGEST = Sizes(
     MAX_MODES,
     MAX_ENGINES - 1,
     MAX_ENGINES,
-    MAX_ENGINES + MAX_BUFFETS + MAX_SENSORS,
+    MAX_ENGINES + MAX_FEED_LINES + MAX_BUFFETS + MAX_SENSORS,
     MAX_ENGINES,
     MAX_TVC_LOADS,
     MAX_SENSORS,
     MAX_BUFFETS,
+    MAX_FEED_LINES,
 )
 
 
@@ -86,6 +89,7 @@ class Counts(NamedTuple):
     tvc_loads: int
     sensors: int
     buffets: int
+    feed_lines: int
     mode_groups: int
 
 
@@ -105,6 +109,7 @@ def counts(sizes: Sizes) -> Counts:
         integer(sizes, "tvc_loads"),
         integer(sizes, "sensors"),
         integer(sizes, "buffets"),
+        integer(sizes, "feed_lines"),
         integer(sizes, "mode_groups"),
     )
 
@@ -113,7 +118,7 @@ def counts(sizes: Sizes) -> Counts:
 def are_usual(sizes: Counts) -> bool:
     """Return True for at most four modes per plane, and none of the parts that few vehicles have."""
     none = sizes.tables + sizes.spatial_modes + sizes.further_groups + sizes.tvc_loads + sizes.sensors == 0
-    none = none and sizes.buffets == 0
+    none = none and sizes.buffets + sizes.feed_lines == 0
     return none and sizes.mode_groups < 2 and sizes.engines * sizes.gimbals * sizes.thrust_curves == 1
 
 
@@ -124,13 +129,13 @@ def usual_counts(sizes: Counts) -> Counts:
     `sizes` must satisfy `are_usual`. Code inlined for these counts contains no loop over groups of modes, and none of
     the parts that few vehicles have. Measured saving: a quarter of a flight's time.
     """
-    return Counts(sizes.pitch_modes, sizes.yaw_modes, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 0, 1)
+    return Counts(sizes.pitch_modes, sizes.yaw_modes, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 0, 0, 1)
 
 
 @kernel
 def rigid_counts(sizes: Counts) -> Counts:
     """Return the usual counts of a vehicle without modes, as constants where all such vehicles have the same value."""
-    return Counts(0, 0, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 0, 0)
+    return Counts(0, 0, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 0, 0, 0)
 
 
 @dataclass(frozen=True)

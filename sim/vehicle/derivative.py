@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 from maxq.control.kernel.jit import kernel, rare_routine, record_at, routine, routine_beside
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_SENSORS
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_FEED_LINES, MAX_SENSORS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
 from maxq.control.kernel.vectors import (
@@ -61,6 +61,7 @@ from maxq.sim.vehicle.environment import (
     winds_along_body,
 )
 from maxq.sim.vehicle.faults import ACTUATOR_FAULT, N_FAULT_SLOTS, STUCK
+from maxq.sim.vehicle.feed.kernel import FeedLine, feed_derivative, feed_forces, thrust_with_feed
 from maxq.sim.vehicle.modes.planar import (
     Bending,
     Modes,
@@ -112,6 +113,7 @@ class StageRecord:
     spatial_modes: SpatialModes
     slosh: Slosh
     buffet: Buffet
+    feed_lines: Annotated[tuple[FeedLine, ...], (MAX_FEED_LINES,)]
     rate_damping: TableRef  # columns about x, y, z over the schedule's clock, N m s/rad; NO_TABLE: none
     roll_torque_Nm: float
     turn_torque_Nm: float  # of the thrusters in pitch and yaw
@@ -182,6 +184,11 @@ def _derive_properties(vehicle: StageRecord, sizes: Counts, pool: Array, clock_s
         )
     rigid.prepare_outflow(vehicle.engine, vehicle.slosh, sizes, properties)
     moment_reference(vehicle.aero, sizes, pool, clock_s, properties)
+    for line in range(sizes.feed_lines):
+        table = vehicle.feed_lines[line].table
+        interpolate_into(
+            pool, table, find_interval(pool, table, clock_s), clock_s, properties, sch.feed_column(sizes, line)
+        )
     if vehicle.rate_damping.n_columns > 0:
         k = find_interval(pool, vehicle.rate_damping, clock_s)
         interpolate_into(
@@ -286,6 +293,8 @@ def _derivative(
             work.buffet,
             aux.buffet_N,
         )
+    if sizes.feed_lines > 0:
+        feed_forces(vehicle.feed_lines, vehicle.sizes, properties, y, states.feed_index(sizes), work.feed)
     thrust_force, thrust_moment, gimbal_load = thrust_loads(
         vehicle, sizes, engine, inputs.thrust_share, properties, work, aux
     )
@@ -436,6 +445,19 @@ def _derivative(
         aux.tension_N[tank] = work.system.unknown[tank]
     if sizes.tvc_loads > 0:
         load_derivative(vehicle.tvc_load, vehicle.engine, sizes, y, loads, dy, work.system, aux.engines, aux.tvc_loads)
+    if sizes.feed_lines > 0:
+        steady = axial_load - (work.feed.axial_N * inverse_mass if held.on_pad == 0 else 0.0)
+        feed_derivative(
+            vehicle.feed_lines,
+            vehicle.sizes,
+            specific_force[0] - steady,
+            properties,
+            y,
+            states.feed_index(sizes),
+            dy,
+            modes,
+            work.feed,
+        )
     if sizes.sensors > 0:
         first = states.sensor_index(sizes, 0)
         sense(vehicle.sensors, sizes, rate, specific_force, alpha, properties, held.faults, y, first, dy, modes)
@@ -583,12 +605,16 @@ def thrust_loads(
     directly. `outer_spatial_load` adds the moment due to the displacement by spatial modes.
     """
     strength = (1.0 + share) * thrust(vehicle.engine, 0, properties[sch.THRUST_VACUUM], aux.air.pressure_Pa)
+    pushed = strength
+    if sizes.feed_lines > 0:
+        strength, push = thrust_with_feed(strength, 0, work.feed)
+        pushed = strength + push
     aux.engines.thrust_N[0], aux.engines.axial_thrust_N = strength, vehicle.engine.rest_x[0] * strength
     bend = gimbal_bend(sizes, properties, 0, work.modes)
     gimbal = aux.gimbal_bending
     gimbal.moved_y_m, gimbal.moved_z_m = bend.moved_y, bend.moved_z
     gimbal.slope_y_rad, gimbal.slope_z_rad = bend.slope_y, bend.slope_z
-    force, moment, load = thrust_load(vehicle.engine, 0, engine, strength, vehicle.follower_thrust, bend)
+    force, moment, load = thrust_load(vehicle.engine, 0, engine, pushed, vehicle.follower_thrust, bend)
     if sizes.engines > 1:
         further_force, further_moment, load = further_thrusts(
             vehicle.engine, vehicle.sizes, vehicle.follower_thrust, load, bend, share, properties, work, aux
@@ -661,12 +687,16 @@ def further_thrusts(
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for k in range(1, sizes.engines):
         strength = (1.0 + share) * thrust(e, k, properties[sch.thrust_column(sizes, e.curve[k])], aux.air.pressure_Pa)
+        pushed = strength
+        if sizes.feed_lines > 0:
+            strength, push = thrust_with_feed(strength, k, work.feed)
+            pushed = strength + push
         aux.engines.thrust_N[k] = strength
         aux.engines.axial_thrust_N += e.rest_x[k] * strength
         gimbal, bend = e.gimbal[k], first_bend
         if gimbal > 0:
             bend = gimbal_bend(sizes, properties, gimbal, modes)
-        own_force, own_moment, own_load = thrust_load(e, k, deflected_at(work.engine[k]), strength, follower, bend)
+        own_force, own_moment, own_load = thrust_load(e, k, deflected_at(work.engine[k]), pushed, follower, bend)
         force, moment = add(force, own_force), add(moment, own_moment)
         if gimbal == 0:
             load = sum_of_loads(load, own_load)

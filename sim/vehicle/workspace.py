@@ -14,13 +14,14 @@ from maxq.sim.vehicle.air.kernel import AeroWork
 from maxq.sim.vehicle.buffet.kernel import BuffetWork
 from maxq.sim.vehicle.engine.kernel import EngineOutputs, KeptEngine
 from maxq.sim.vehicle.environment import AirData, Anchor
+from maxq.sim.vehicle.feed.kernel import FeedWork
 from maxq.sim.vehicle.modes.planar import GimbalBending, Modes
 from maxq.sim.vehicle.slosh.kernel import TankWork
 from maxq.sim.vehicle.tvc_load.kernel import System, TvcLoadOutputs
 
-# columns of the widest schedule (12 modes per plane, 12 spatial modes, 8 tanks, 9 surfaces, 9 engines, 8 places of
-# buffet and 5 sensors at different stations: 5284) and derived properties (439)
-PROPERTIES_SIZE = 5824
+# columns of the widest schedule (12 modes per plane, 12 spatial modes, 8 tanks, 9 surfaces, 9 engines, 4 feed
+# lines, 8 places of buffet and 5 sensors at different stations: 5764) and derived properties (475)
+PROPERTIES_SIZE = 6336
 
 
 @dataclass
@@ -34,6 +35,7 @@ class Work:
     tank: Annotated[tuple[TankWork, ...], (MAX_PENDULUMS,)]
     system: System
     buffet: BuffetWork
+    feed: FeedWork
 
 
 @dataclass

@@ -95,7 +95,7 @@ def buffet_loads(
         forces_N[2 * s] *= scale
         forces_N[2 * s + 1] *= scale
         z, y, arm = forces_N[2 * s], forces_N[2 * s + 1], properties[sch.CORE_CG] - b.station_m[s]
-        gimbal, load = sch.first_acted(sizes) + s, (0.0, y, z, 0.0, 0.0, 0.0)
+        gimbal, load = sch.first_acted(sizes) + sizes.feed_lines + s, (0.0, y, z, 0.0, 0.0, 0.0)
         apply_gimbal_load(sizes, properties, gimbal, load, modes.planar.force_N)
         if sizes.spatial_modes > 0:
             moved = outer_spatial_load(sizes, properties, sch.gimbal_place(sizes, gimbal), load, modes.spatial)
