@@ -334,9 +334,10 @@ class _PlaneOf:
         self.states = [at[name] for name in wanted]
         signs += [1.0] * (2 * (spatial + modes + tanks)) + [-1.0 if axis == "yaw" else 1.0 for _, axis in swings] * 2
         feed = [name for name in at if name.startswith("feed_")] if spatial else []  # they act through axial modes
-        self.states += [at[name] for name in feed]
-        signs += [1.0] * len(feed)
-        self.names = (*state_names(spatial + modes, tanks, len(swings)), *feed)
+        late = [name for name in at if name.startswith("air_lag_") and name.endswith(f"_{plane}_m")]
+        self.states += [at[name] for name in (*feed, *late)]
+        signs += [1.0] * (len(feed) + len(late))
+        self.names = (*state_names(spatial + modes, tanks, len(swings)), *feed, *late)
         self.signs = np.array(signs)
         self.rate = at[f"gyro_{plane}_rad"]
         self.sensors, self.sensed, self.sensed_signs = [], [], []

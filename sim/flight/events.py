@@ -419,6 +419,11 @@ def transfer_state(
                 y[first + i] = handed(size, pool, handed_on, row + i, 0, whole)
                 y[first + modes + i] = handed(size, pool, handed_on, row + i, 1, whole)
             row += modes
+    if after.timeline.continues != 1 and after.vehicle.sizes.air_lags > 0:  # the air is quasi-steady at the start
+        own = counts(after.vehicle.sizes)
+        late = states.air_lag_index(own)
+        y[late] = y[states.eta_index(own)] if own.pitch_modes > 0 else 0.0
+        y[late + 1] = y[states.xi_index(own)] if own.yaw_modes > 0 else 0.0
     record_event(before, memory, SEPARATION, memory.clock.now_ns)
     memory.clock.stage_separation_ns[memory.clock.stage] = memory.clock.now_ns
 

@@ -58,6 +58,7 @@ def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes
         len(stage.sensors),
         len(stage.buffet.stations_m) if stage.buffet is not None else 0,
         len(stage.feed_line),
+        int(pitch + yaw > 0 and stage.aero is not None and stage.aero.lag_m is not None and switches.aerodynamics),
     )
 
 

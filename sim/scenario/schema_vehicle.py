@@ -189,14 +189,16 @@ class Stage(Section):
     def counts(self) -> tuple[int, ...]:
         """Return the numbers of parts that keep their state when a stage continues.
 
-        These are engine groups, pendulums, modes in pitch, in yaw and in space, 1 for TVC loads, and feed lines.
+        These are engine groups, pendulums, modes in pitch, in yaw and in space, 1 for TVC loads, feed lines, and 1 for
+        the air's lag.
         """
         bending, spatial = self.bending, self.spatial_modes
         planes = (bending.pitch_modes, bending.yaw_modes) if bending is not None else (None, None)
         modes = [0 if plane is None else plane.modes for plane in planes]
         spatial_modes = len(spatial.damping_ratio) if spatial else 0
-        loads, lines = int(self.tvc_load is not None), len(self.feed_line)
-        return len(self.engine_groups), len(self.pendulum_names), *modes, spatial_modes, loads, lines
+        late = self.aero is not None and self.aero.lag_m is not None
+        further = int(self.tvc_load is not None), len(self.feed_line), int(late)
+        return len(self.engine_groups), len(self.pendulum_names), *modes, spatial_modes, *further
 
     def leaving(self, following: Stage) -> tuple[Booster, ...]:
         """Return the boosters that leave before the next stage; none if the core leaves too."""
@@ -358,6 +360,8 @@ class Stage(Section):
             problem = f"{len(self.pendulum_names)} slosh modes in all"
             raise refuse(problem, f"up to {MAX_PENDULUMS} of all tanks of a stage", "tank", value=len(self.tank))
         self._check_tvc_load()
+        if self.aero is not None and self.aero.lag_m is not None and self.bending is None:
+            raise refuse("the stage has no planar modes", "[stage.bending]", ("aero", "lag_m"), value=self.aero.lag_m)
         self._check_slosh_mass()
         self._check_stations()
         self._check_spatial_modes()

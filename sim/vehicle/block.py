@@ -45,6 +45,7 @@ class Sizes:
     sensors: int = 0  # rate gyros after the first, and the accelerometer
     buffets: int = 0  # stations of buffet
     feed_lines: int = 0
+    air_lags: int = 0  # 1: the air lags behind the first modes
     mode_groups: int = field(init=False)  # number of groups of four modes in a plane, rounded up
 
     def __post_init__(self) -> None:
@@ -66,6 +67,7 @@ LARGEST = Sizes(
     MAX_SENSORS,
     MAX_BUFFETS,
     MAX_FEED_LINES,
+    1,
 )
 
 
@@ -90,6 +92,7 @@ class Counts(NamedTuple):
     sensors: int
     buffets: int
     feed_lines: int
+    air_lags: int
     mode_groups: int
 
 
@@ -110,6 +113,7 @@ def counts(sizes: Sizes) -> Counts:
         integer(sizes, "sensors"),
         integer(sizes, "buffets"),
         integer(sizes, "feed_lines"),
+        integer(sizes, "air_lags"),
         integer(sizes, "mode_groups"),
     )
 
@@ -118,7 +122,7 @@ def counts(sizes: Sizes) -> Counts:
 def are_usual(sizes: Counts) -> bool:
     """Return True for at most four modes per plane, and none of the parts that few vehicles have."""
     none = sizes.tables + sizes.spatial_modes + sizes.further_groups + sizes.tvc_loads + sizes.sensors == 0
-    none = none and sizes.buffets + sizes.feed_lines == 0
+    none = none and sizes.buffets + sizes.feed_lines + sizes.air_lags == 0
     return none and sizes.mode_groups < 2 and sizes.engines * sizes.gimbals * sizes.thrust_curves == 1
 
 
@@ -129,13 +133,15 @@ def usual_counts(sizes: Counts) -> Counts:
     `sizes` must satisfy `are_usual`. Code inlined for these counts contains no loop over groups of modes, and none of
     the parts that few vehicles have. Measured saving: a quarter of a flight's time.
     """
-    return Counts(sizes.pitch_modes, sizes.yaw_modes, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 0, 0, 1)
+    return Counts(
+        sizes.pitch_modes, sizes.yaw_modes, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 0, 0, 0, 1
+    )
 
 
 @kernel
 def rigid_counts(sizes: Counts) -> Counts:
     """Return the usual counts of a vehicle without modes, as constants where all such vehicles have the same value."""
-    return Counts(0, 0, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 0, 0, 0)
+    return Counts(0, 0, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 0, 0, 0, 0)
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ from maxq.sim.vehicle.air.kernel import (
     surface_loads,
     table_loads,
 )
+from maxq.sim.vehicle.air.lag import lag_first_modes
 from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, are_usual, counts, rigid_counts, usual_counts
 from maxq.sim.vehicle.body import kernel as rigid
 from maxq.sim.vehicle.buffet.kernel import Buffet, buffet_loads
@@ -276,6 +277,17 @@ def _derivative(
         spatial_state(sizes, rate[0], properties, y, spatial, modes.spatial)
     engine, balanced = engine_motion(vehicle, sizes, held, properties, y, work, aux)
 
+    if sizes.air_lags > 0:
+        lag_first_modes(
+            vehicle.aero.lag_m,
+            aux.air.airspeed_mps,
+            rate[0],
+            y,
+            states.air_lag_index(sizes),
+            dy,
+            modes.planar,
+            work.aero.late,
+        )
     aero_force, aero_moment = aerodynamics(
         vehicle, sizes, environment, pool, held, rotation, rate, properties, y, work, aux.air
     )
