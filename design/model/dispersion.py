@@ -163,7 +163,8 @@ def _scale_shapes(held: HeldStage, shape: Array, slope: Array) -> None:
     """Scale the mode shapes at the gimbals, the slopes at the gyro and all components at other sensors, in place."""
     sizes, p = held.sizes, held.properties
     spatial, gimbals, sensors = int(sizes.spatial_modes), int(sizes.gimbals), int(sizes.sensors)
-    by_gimbal = [slope if k >= gimbals - sensors else shape for k in range(gimbals)]
+    engines, given = int(schedule.first_acted(sizes)), np.ones_like(shape)
+    by_gimbal = [shape] * engines + [given] * (gimbals - sensors - engines) + [slope] * sensors
     for plane in (schedule.PITCH, schedule.YAW):
         planar = min(shape.shape[1] - spatial, int(sizes.yaw_modes if plane else sizes.pitch_modes))
         rows = [(schedule.MODE_SLOPE_GYRO, slope)]

@@ -332,8 +332,12 @@ class _PlaneOf:
             wanted += [f"tvc_load_{k + 1}_{axis}_{what}" for k, axis in swings]
         self.states = [at[name] for name in wanted]
         signs += [1.0] * (2 * (spatial + modes + tanks)) + [-1.0 if axis == "yaw" else 1.0 for _, axis in swings] * 2
+        feed = [name for name in at if name.startswith("feed_")] if spatial else []  # they act through axial modes
+        late = [name for name in at if name.startswith("air_lag_") and name.endswith(f"_{plane}_m")]
+        self.states += [at[name] for name in (*feed, *late)]
+        signs += [1.0] * (len(feed) + len(late))
+        self.names = (*state_names(spatial + modes, tanks, len(swings)), *feed, *late)
         self.signs = np.array(signs)
-        self.names = state_names(spatial + modes, tanks, len(swings))
         self.rate = at[f"gyro_{plane}_rad"]
         self.sensors, self.sensed, self.sensed_signs = [], [], []
         for k in range(int(sizes.sensors)):
@@ -392,7 +396,7 @@ def hold_stage(packed: Packed, clock_s: float, stage: int = 0) -> HeldStage:
     environment["penetration"], environment["turbulence"]["on"] = 0, 0
     environment["turbulence"]["frame"] = BODY
     environment["wind"]["profile"]["n_columns"], environment["wind"]["n_gusts"] = 0, 0
-    rows["injections"]["count"] = 0
+    rows["injections"]["count"], vehicle["buffet"]["factor"] = 0, 0.0
     for actuator in (vehicle["actuator_pitch"], vehicle["actuator_yaw"], vehicle["further_actuators"]):
         for name, value in _UNIT.items():
             actuator[name] = value

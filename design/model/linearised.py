@@ -49,6 +49,7 @@ OUTPUTS = ("delta_pitch_rad", "delta_yaw_rad", "local_rate_pitch_radps", "local_
 
 _SETTLING_M = 1e-4
 _STEP_R, _STEP_V, _STEP_TURN, _STEP_W = 8.0, 0.5, 4e-3, 1e-2
+_STEPS_OF_FLOW = {"kgps": 1.0, "Pa": 1e3}
 _STEP_FLAT, _STEP_BEND, _STEP_BEND_RATE, _STEP_SLOSH, _STEP_COMMAND = 2e-3, 2e-3, 0.1, 8e-3, 4e-3
 
 
@@ -73,11 +74,15 @@ def linearise(packed: Packed, y: Array, time_s: float) -> LinearModel:
     if memory[0].clock.started == 0:
         begin(packed.parameters, packed.pool, memory, packed.state.copy())
     stage = packed.parameters[int(memory[0].clock.stage)]
+    parameters = packed.parameters
+    if int(stage.vehicle.sizes.buffets) > 0:  # a random force is not part of the model
+        parameters = parameters.copy()
+        parameters["vehicle"]["buffet"]["factor"] = 0.0
     coordinates, inputs = coordinates_of(stage.vehicle.sizes), inputs_of(stage.vehicle.sizes)
     n, m, stations = len(coordinates), len(inputs), int(stage.loads.stations)
     steps = np.array([*coordinates.values(), *[_STEP_COMMAND] * m])
     rate, slopes = differentiate(
-        packed.parameters, packed.pool, memory, y, round(1e9 * time_s), np.arange(n + m), steps, stations=stations
+        parameters, packed.pool, memory, y, round(1e9 * time_s), np.arange(n + m), steps, stations=stations
     )
     outputs = (
         *OUTPUTS,
@@ -172,7 +177,8 @@ def _coordinates_of(sizes: Any) -> dict[str, float]:
     groups.append(([f"slosh_{k + 1}_{angle}" for k in range(tanks) for angle in angles], _STEP_SLOSH))
     behind = slice(int(layout.pendulum_index(sizes, tanks)), int(layout.state_size(sizes)))
     groups.append((layout.state_names(sizes)[behind], _STEP_FLAT))
-    return {name: step for names, step in groups for name in names}
+    steps = {name: step for names, step in groups for name in names}
+    return steps | {name: _STEPS_OF_FLOW[name.rsplit("_", 1)[1]] for name in steps if name.startswith("feed_")}
 
 
 def at_rest(packed: Packed, time_s: float) -> tuple[Packed, Array]:

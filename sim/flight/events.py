@@ -420,6 +420,11 @@ def transfer_state(
                 y[first + i] = handed(size, pool, handed_on, row + i, 0, whole)
                 y[first + modes + i] = handed(size, pool, handed_on, row + i, 1, whole)
             row += modes
+    if after.timeline.continues != 1 and after.vehicle.sizes.air_lags > 0:  # the air is quasi-steady at the start
+        own = counts(after.vehicle.sizes)
+        late = states.air_lag_index(own)
+        y[late] = y[states.eta_index(own)] if own.pitch_modes > 0 else 0.0
+        y[late + 1] = y[states.xi_index(own)] if own.yaw_modes > 0 else 0.0
     record_event(before, memory, SEPARATION, memory.clock.now_ns)
     memory.clock.stage_separation_ns[memory.clock.stage] = memory.clock.now_ns
 
@@ -439,15 +444,18 @@ def keep_parts(old: Counts, new: Counts, turned: vec.Vector, whole: Array, y: Ar
         i, j = states.pendulum_index(new, tank), states.pendulum_index(old, tank)
         vec.set_vector(y, i, vec.rotate_back(rotation, vec.vector_at(whole, j)))
         vec.set_vector(y, i + 3, vec.rotate_back(rotation, vec.vector_at(whole, j + 3)))
-    for kind in range(3):
+    for kind in range(4):
         i, j, n = states.actuator_index(new, 1), states.actuator_index(old, 1), 2 * states.N_ACTUATOR
         n *= new.further_groups
         if kind == 1:
             i, j = states.tvc_load_index(new), states.tvc_load_index(old)
-            n = states.sensor_index(new, 0) - i
+            n = states.feed_index(new) - i
         if kind == 2:
             i, j = states.sensor_index(new, 0), states.sensor_index(old, 0)
             n = states.N_SENSOR * new.sensors
+        if kind == 3:
+            i, j = states.feed_index(new), states.feed_index(old)
+            n = states.N_FEED * min(new.feed_lines, old.feed_lines)
         for k in range(n):
             y[i + k] = whole[j + k]
 

@@ -137,6 +137,7 @@ def evaluate(
         inputs.torque_y_Nm = total_signal(p.injections, pool, BODY_TORQUE, 1, now_ns, elapsed_s)
         inputs.torque_z_Nm = total_signal(p.injections, pool, BODY_TORQUE, 2, now_ns, elapsed_s)
         inputs.thrust_share = total_signal(p.injections, pool, THRUST, 0, now_ns, elapsed_s)
+    inputs.now_ns, inputs.elapsed_s = now_ns, elapsed_s
     if p.environment.turbulence.on == 1:
         tick = p.environment.turbulence.tick_ns
         since_s = 1e-9 * (now_ns - memory.clock.next_gust_ns + tick) + elapsed_s

@@ -23,8 +23,10 @@ from maxq.sim.flight.channels import ChannelTable, Topic, declared_channels, dec
 from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
 from maxq.sim.flight.parameters import Memory, Parameters
 from maxq.sim.vehicle.actuator.kernel import ActuatorRow, actuator_row
+from maxq.sim.vehicle.buffet.kernel import BuffetRow, buffet_row
 from maxq.sim.vehicle.engine.kernel import EngineRow, GroupRow, engine_row, group_row
 from maxq.sim.vehicle.environment import AirData
+from maxq.sim.vehicle.feed.kernel import FeedRow, feed_row
 from maxq.sim.vehicle.loads.kernel import SectionRow, section_row
 from maxq.sim.vehicle.modes.planar import BendingRow, ModeRow, bending_row, put_modes
 from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLOW, TOTAL_MASS
@@ -45,6 +47,7 @@ from maxq.sim.vehicle.state import (
     W_BI_B,
     Sizes,
     eta_index,
+    feed_index,
     pendulum_index,
     sensor_index,
     spatial_index,
@@ -118,6 +121,10 @@ def fill_fast(p: Parameters, out: Logged, memory: Memory, at: Evaluation, row: A
             column = put(row, column, group_row(sizes.further_groups, group, memory.held.command_rad, engines))
     for number in range(out.engines):
         column = put(row, column, engine_row(p.vehicle.engine, number, engines))
+    for station in range(logged.buffets):
+        column = put(row, column, buffet_row(sizes.buffets, station, aux.buffet_N))
+    for line in range(logged.feed_lines):
+        column = put(row, column, feed_row(sizes.feed_lines, line, y, feed_index(sizes)))
     if out.external == 1:
         column = put(row, column, monitor_row(memory.computer.external))
     if out.adaptive == 1:
@@ -348,6 +355,12 @@ def channel_table(
     thrusts = [declared_channels(EngineRow, "engine", f"engine_{name}", f"engine {name}") for name in engines]
     if moved or thrusts:
         topics.append(Topic("/engines", FAST, sum(moved + thrusts, ()), "groups of engines, and engines"))
+    buffet = [declared_channels(BuffetRow, "place", str(n), f"station {n}") for n in range(1, sizes.buffets + 1)]
+    if buffet:
+        topics.append(Topic("/buffet", FAST, sum(buffet, ()), "forces of buffet"))
+    lines = [declared_channels(FeedRow, "line", str(n), f"feed line {n}") for n in range(1, sizes.feed_lines + 1)]
+    if lines:
+        topics.append(Topic("/feed", FAST, sum(lines, ()), "oscillations in feed lines"))
     if external:
         topics.append(Topic("/flight_code", FAST, declared_channels(MonitorRow), "external flight code"))
     if adaptive:

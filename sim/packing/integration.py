@@ -24,7 +24,7 @@ SHARE = 0.1
 """The largest added damping ratio without a warning, as a share of an oscillation's damping ratio."""
 LONGEST_S = 0.01
 """The longest step with run.accuracy, s, because air, slosh and the rigid body change within tenths of a second."""
-TVC_LOAD, SENSOR = "TVC load", "further sensor"
+TVC_LOAD, SENSOR, FEED_LINE = "TVC load", "further sensor", "feed line"
 _LEAST = 1e-5  # smaller added damping ratios cause no warning, regardless of their share
 
 
@@ -86,7 +86,7 @@ def worst_error(scenario: Scenario) -> MethodError | None:
     stages, step_s, found = scenario.vehicle.stage, scenario.run.step_s, list(oscillations(scenario))
     if scenario.run.accuracy is not None:  # all other oscillations are propagated exactly
         step_s = max(step_ns(scenario, stage) for stage in stages) / NS_PER_S
-        found = [o for o in found if o.name.startswith((TVC_LOAD, SENSOR))]
+        found = [o for o in found if o.name.startswith((TVC_LOAD, SENSOR, FEED_LINE))]
     errors = [method_error(o, step_s) for o in found if o.damping_ratio < 1.0]
     return max(errors, key=lambda error: (abs(error.share), abs(error.added_damping_ratio)), default=None)
 
@@ -122,8 +122,8 @@ def step_ns(scenario: Scenario, stage: Stage) -> int:
     """Return the step of a stage, ns: run.step_s, or the longest step that satisfies run.accuracy, after its halvings.
 
     Modes, actuators and the first gyro are propagated exactly (sim/flight/step.py). Simpson's rule integrates their
-    inputs, with a relative error of (w h)^4 / 2880 for a force of w rad/s. Further sensors, a TVC load, and modes with
-    a TVC load are not propagated exactly; their frequencies have a relative error of (w h)^4 / 120.
+    inputs, with a relative error of (w h)^4 / 2880 for a force of w rad/s. Further sensors, feed lines, a TVC load, and
+    modes with a TVC load are not propagated exactly; their frequencies have a relative error of (w h)^4 / 120.
     """
     accuracy = scenario.run.accuracy
     if accuracy is None:
@@ -131,10 +131,17 @@ def step_ns(scenario: Scenario, stage: Stage) -> int:
     found = list(_of_stage(scenario, stage))
     loaded = any(name.startswith(TVC_LOAD) for name, _, _ in found)
     fastest_hz = [
-        (hz, 120.0 if SENSOR in name or (loaded and ("mode" in name or TVC_LOAD in name)) else 2880.0)
+        (
+            hz,
+            120.0
+            if SENSOR in name or FEED_LINE in name or (loaded and ("mode" in name or TVC_LOAD in name))
+            else 2880.0,
+        )
         for name, hz, _ in found
     ]
     fastest_hz += [(hz, 2880.0) for given in scenario.injection for hz in given.highest_hz]
+    fastest_hz += [(0.5 / (math.pi * line.chamber_lag_s), 120.0) for line in stage.feed_line]
+    fastest_hz += [(float(stage.buffet.frequency_hz[-1]), 2880.0)] if stage.buffet is not None else []
     longest_s = [(share * accuracy) ** 0.25 / (2.0 * math.pi * hz) for hz, share in fastest_hz if hz > 0.0]
     return int(NS_PER_S * min((LONGEST_S, *longest_s))) >> scenario.run.halvings
 
@@ -170,6 +177,8 @@ def _of_stage(scenario: Scenario, stage: Stage) -> Iterator[tuple[str, float, fl
                 own_hz = math.hypot(own_hz or 0.0, bearing_hz)
             name = f" of engine {number}" if len(stage.engines) > 1 else ""
             yield f"{TVC_LOAD}{name}", own_hz or 0.0, load.damping_ratio
+    for number, line in enumerate(stage.feed_line, start=1):
+        yield f"{FEED_LINE} {number}", *line.fastest
     if switches.gyro != "ideal":
         if stage.gyro is not None:
             yield "gyro", stage.gyro.omega_hz, stage.gyro.zeta

@@ -60,10 +60,13 @@ def stage_sizes(stage: Stage, switches: Switches, burn: Burn = NOMINAL) -> Sizes
         spatial,
         len(cluster.groups) - 1,
         max(len(cluster.alike), 1),
-        max(len(cluster.mounts), 1) + len(stage.sensors),
+        max(len(cluster.mounts), 1) + len(stage.acted_stations_m) + len(stage.sensors),
         max(len(cluster.curves), 1),
         len(swinging(stage, cluster, switches)),
         len(stage.sensors),
+        len(stage.buffet.stations_m) if stage.buffet is not None else 0,
+        len(stage.feed_line),
+        int(pitch + yaw > 0 and stage.aero is not None and stage.aero.lag_m is not None and switches.aerodynamics),
     )
 
 
@@ -267,9 +270,10 @@ def _modes(
     factors[columns_of.MODE_SLOPE_GYRO, : table.modes] = bending.gyro_slope_factor[: table.modes]
     for gimbal in range(sizes.gimbals):
         row = columns_of.gimbal_row(sizes, gimbal)
-        of_engine = gimbal < sizes.gimbals - sizes.sensors
-        given = bending.gimbal_shape_factor if of_engine else bending.gyro_slope_factor
-        factors[row : row + 2, : table.modes] = given[: table.modes]
+        if gimbal < columns_of.first_acted(sizes):
+            factors[row : row + 2, : table.modes] = bending.gimbal_shape_factor[: table.modes]
+        elif gimbal >= sizes.gimbals - sizes.sensors:
+            factors[row : row + 2, : table.modes] = bending.gyro_slope_factor[: table.modes]
     return on_clock(Cubics(joined.breaks, joined.coefficients * factors.ravel()), burn)
 
 
@@ -277,7 +281,7 @@ def _places(stage: Stage, burn: Burn, table: ModeTable | SpatialModeTable, tanks
     mounts = engine_mounts(stage, burn, table.time_s) or (Mount(float(table.station_m[-1]), 1.0),)
     gyro_m = stage.gyro.station_m if stage.gyro else float(table.station_m[0])
     hinges_m = tuple(tank.joined.at(burn.of(tank.body).over(table.time_s))[:, 2].tobytes() for tank in tanks)
-    sensors_m = tuple(sensor.station_m for sensor in stage.sensors)
+    sensors_m = (*stage.acted_stations_m, *(sensor.station_m for sensor in stage.sensors))
     carried = Carried(
         tuple((b.attachments_m, b.position_m) for b in stage.booster),
         tuple(tank.body for tank in tanks),
@@ -323,7 +327,7 @@ def _spatial_modes(stage: Stage, burn: Burn, sizes: Sizes, tanks: Sequence[Pendu
         columns_of.SPATIAL_FIRST + 6 * p for p in (columns_of.GYRO_PLACE, columns_of.gimbal_place(sizes, 0))
     )
     factors[gyro + 3 : gyro + 6] = given.gyro_slope_factor
-    engines = 6 * (sizes.gimbals - sizes.sensors)
-    factors[gimbal : gimbal + engines] = given.gimbal_shape_factor
-    factors[gimbal + engines : gimbal + 6 * sizes.gimbals] = given.gyro_slope_factor
+    end = gimbal + 6 * sizes.gimbals
+    factors[gimbal : gimbal + 6 * columns_of.first_acted(sizes)] = given.gimbal_shape_factor
+    factors[end - 6 * sizes.sensors : end] = given.gyro_slope_factor
     return on_clock(Cubics(joined.breaks, joined.coefficients * factors.ravel()), burn)

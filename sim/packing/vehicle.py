@@ -14,9 +14,11 @@ from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.actuator.kernel import pack_actuators
 from maxq.sim.vehicle.air.packing import pack_aero
+from maxq.sim.vehicle.buffet.packing import pack_buffet
 from maxq.sim.vehicle.derivative import StageRecord
 from maxq.sim.vehicle.engine.burn import Burn
 from maxq.sim.vehicle.engine.packing import on_clock, pack_engines
+from maxq.sim.vehicle.feed.packing import pack_feed_lines
 from maxq.sim.vehicle.modes.planar import pack_bending, pack_spatial_modes
 from maxq.sim.vehicle.sensor.further import pack_sensors
 from maxq.sim.vehicle.sensor.gyro import pack_gyro
@@ -54,6 +56,8 @@ def pack_vehicle(
         bending=pack_bending(stage.bending, switches.bending_softening),
         spatial_modes=pack_spatial_modes(stage.spatial_modes),
         slosh=pack_slosh(pendulums(stage)[: sizes.pendulums], stage.bending, switches.slosh_exchange),
+        buffet=pack_buffet(stage, scenario.run.seed, pool),
+        feed_lines=pack_feed_lines(stage, burn, engine, pool),
         rate_damping=_rate_damping(stage, burn, pool),
         roll_torque_Nm=stage.roll_thrusters.torque_Nm if stage.roll_thrusters else 0.0,
         turn_torque_Nm=(stage.roll_thrusters.pitch_yaw_torque_Nm or 0.0) if stage.roll_thrusters else 0.0,

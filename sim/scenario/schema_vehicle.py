@@ -9,7 +9,15 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, Tag, model_validator
 
-from maxq.control.kernel.limits import MAX_BOOSTERS, MAX_ENGINES, MAX_PENDULUMS, MAX_SENSORS, MAX_STAGES, MAX_SURFACES
+from maxq.control.kernel.limits import (
+    MAX_BOOSTERS,
+    MAX_ENGINES,
+    MAX_FEED_LINES,
+    MAX_PENDULUMS,
+    MAX_SENSORS,
+    MAX_STAGES,
+    MAX_SURFACES,
+)
 from maxq.control.structures import Attitude
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.values import TABLE_FORM, NotNegative, Period, Positive, Seconds, Section, Triple, optional
@@ -18,7 +26,9 @@ from maxq.sim.scenario.schema_booster import FORM, LISTED, Booster, Engines
 from maxq.sim.vehicle.actuator.section import ActuatorSection
 from maxq.sim.vehicle.air.section import AeroSection
 from maxq.sim.vehicle.body.section import Mass, Reference, joined
+from maxq.sim.vehicle.buffet.section import BuffetSection
 from maxq.sim.vehicle.engine.section import EngineSection, RollThrusters
+from maxq.sim.vehicle.feed.section import FeedLineSection
 from maxq.sim.vehicle.loads.section import LoadsSection, check_liquids, check_stations
 from maxq.sim.vehicle.modes.section import BendingSection, SpatialModesSection
 from maxq.sim.vehicle.modes.tables import (
@@ -159,6 +169,10 @@ class Stage(Section):
     booster: tuple[Booster, ...] = optional("bodies attached to the core; those that stay longest come first", ())
     roll_thrusters: RollThrusters | None = optional("absent: no roll control")
     loads: LoadsSection | None = optional("absent: no section loads")
+    buffet: BuffetSection | None = optional("absent: no buffet")
+    feed_line: tuple[FeedLineSection, ...] = optional(
+        "feed lines whose oscillations couple with axial modes", (), max_length=MAX_FEED_LINES
+    )
 
     @property
     def sensors(self) -> tuple[RateGyro | Accelerometer, ...]:
@@ -166,16 +180,25 @@ class Stage(Section):
         return (*self.rate_gyro, *((self.accelerometer,) if self.accelerometer is not None else ()))
 
     @property
+    def acted_stations_m(self) -> tuple[float, ...]:
+        """Return the stations of feed lines and of buffet."""
+        buffet_m = self.buffet.stations_m if self.buffet is not None else ()
+        return (*(line.bottom_station_m for line in self.feed_line), *buffet_m)
+
+    @property
     def counts(self) -> tuple[int, ...]:
         """Return the numbers of parts that keep their state when a stage continues.
 
-        These are engine groups, pendulums, modes in pitch, in yaw and in space, and 1 for TVC loads.
+        These are engine groups, pendulums, modes in pitch, in yaw and in space, 1 for TVC loads, feed lines, and 1 for
+        the air's lag.
         """
         bending, spatial = self.bending, self.spatial_modes
         planes = (bending.pitch_modes, bending.yaw_modes) if bending is not None else (None, None)
         modes = [0 if plane is None else plane.modes for plane in planes]
         spatial_modes = len(spatial.damping_ratio) if spatial else 0
-        return len(self.engine_groups), len(self.pendulum_names), *modes, spatial_modes, int(self.tvc_load is not None)
+        late = self.aero is not None and self.aero.lag_m is not None
+        further = int(self.tvc_load is not None), len(self.feed_line), int(late)
+        return len(self.engine_groups), len(self.pendulum_names), *modes, spatial_modes, *further
 
     def leaving(self, following: Stage) -> tuple[Booster, ...]:
         """Return the boosters that leave before the next stage; none if the core leaves too."""
@@ -328,11 +351,17 @@ class Stage(Section):
             if name in names[:n]:
                 raise refuse("is already the name of another tank", "each name once", ("tank", n, "name"), value=name)
         self._check_engines()
+        for n, line in enumerate(self.feed_line):
+            if line.engine >= len(self.own_engines):
+                allowed = f"0 .. {len(self.own_engines) - 1}" if self.own_engines else "a stage with an engine"
+                raise refuse("the core has no such engine", allowed, ("feed_line", n, "engine"), value=line.engine)
         self._check_groups("actuator", self.actuator, all_of_them=True)
         if len(self.pendulum_names) > MAX_PENDULUMS:
             problem = f"{len(self.pendulum_names)} slosh modes in all"
             raise refuse(problem, f"up to {MAX_PENDULUMS} of all tanks of a stage", "tank", value=len(self.tank))
         self._check_tvc_load()
+        if self.aero is not None and self.aero.lag_m is not None and self.bending is None:
+            raise refuse("the stage has no planar modes", "[stage.bending]", ("aero", "lag_m"), value=self.aero.lag_m)
         self._check_slosh_mass()
         self._check_stations()
         self._check_spatial_modes()
@@ -502,6 +531,11 @@ class Stage(Section):
         for n, table in enumerate(self.aero.coefficients if self.aero is not None else ()):
             if table.station_m is not None:
                 needed.append((("aero", "coefficients", n, "station_m"), table.station_m))
+        needed += [
+            (("feed_line", n, "bottom_station_m"), line.bottom_station_m) for n, line in enumerate(self.feed_line)
+        ]
+        if self.buffet is not None:
+            needed += [(("buffet", "table"), station) for station in self.buffet.stations_m]
         for _, modes in self.mode_tables():
             nose, tail = float(modes.station_m[0]), float(modes.station_m[-1])
             for key, station in needed:

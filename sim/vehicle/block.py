@@ -14,7 +14,16 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from maxq.control.kernel.jit import integer, kernel
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_MODES, MAX_PENDULUMS, MAX_SENSORS, MAX_SURFACES, MAX_TVC_LOADS
+from maxq.control.kernel.limits import (
+    MAX_BUFFETS,
+    MAX_ENGINES,
+    MAX_FEED_LINES,
+    MAX_MODES,
+    MAX_PENDULUMS,
+    MAX_SENSORS,
+    MAX_SURFACES,
+    MAX_TVC_LOADS,
+)
 
 
 @dataclass(frozen=True)
@@ -30,10 +39,13 @@ class Sizes:
     spatial_modes: int = 0
     further_groups: int = 0  # groups of engines that move together, after the first group
     engines: int = 1  # equal engines of a group are combined (engine/kernel.py); 1 without an engine
-    gimbals: int = 1  # stations of gimbals, then of sensors, at which mode shapes are evaluated
+    gimbals: int = 1  # stations of gimbals, feed lines, buffet, then sensors, at which mode shapes are evaluated
     thrust_curves: int = 1  # columns of the schedule
     tvc_loads: int = 0  # engines with a compliant mount
     sensors: int = 0  # rate gyros after the first, and the accelerometer
+    buffets: int = 0  # stations of buffet
+    feed_lines: int = 0
+    air_lags: int = 0  # 1: the air lags behind the first modes
     mode_groups: int = field(init=False)  # number of groups of four modes in a plane, rounded up
 
     def __post_init__(self) -> None:
@@ -49,10 +61,13 @@ LARGEST = Sizes(
     MAX_MODES,
     MAX_ENGINES - 1,
     MAX_ENGINES,
-    MAX_ENGINES + MAX_SENSORS,
+    MAX_ENGINES + MAX_FEED_LINES + MAX_BUFFETS + MAX_SENSORS,
     MAX_ENGINES,
     MAX_TVC_LOADS,
     MAX_SENSORS,
+    MAX_BUFFETS,
+    MAX_FEED_LINES,
+    1,
 )
 
 
@@ -75,6 +90,9 @@ class Counts(NamedTuple):
     thrust_curves: int
     tvc_loads: int
     sensors: int
+    buffets: int
+    feed_lines: int
+    air_lags: int
     mode_groups: int
 
 
@@ -93,6 +111,9 @@ def counts(sizes: Sizes) -> Counts:
         integer(sizes, "thrust_curves"),
         integer(sizes, "tvc_loads"),
         integer(sizes, "sensors"),
+        integer(sizes, "buffets"),
+        integer(sizes, "feed_lines"),
+        integer(sizes, "air_lags"),
         integer(sizes, "mode_groups"),
     )
 
@@ -101,6 +122,7 @@ def counts(sizes: Sizes) -> Counts:
 def are_usual(sizes: Counts) -> bool:
     """Return True for at most four modes per plane, and none of the parts that few vehicles have."""
     none = sizes.tables + sizes.spatial_modes + sizes.further_groups + sizes.tvc_loads + sizes.sensors == 0
+    none = none and sizes.buffets + sizes.feed_lines + sizes.air_lags == 0
     return none and sizes.mode_groups < 2 and sizes.engines * sizes.gimbals * sizes.thrust_curves == 1
 
 
@@ -111,13 +133,15 @@ def usual_counts(sizes: Counts) -> Counts:
     `sizes` must satisfy `are_usual`. Code inlined for these counts contains no loop over groups of modes, and none of
     the parts that few vehicles have. Measured saving: a quarter of a flight's time.
     """
-    return Counts(sizes.pitch_modes, sizes.yaw_modes, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 1)
+    return Counts(
+        sizes.pitch_modes, sizes.yaw_modes, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 0, 0, 0, 1
+    )
 
 
 @kernel
 def rigid_counts(sizes: Counts) -> Counts:
     """Return the usual counts of a vehicle without modes, as constants where all such vehicles have the same value."""
-    return Counts(0, 0, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 0)
+    return Counts(0, 0, sizes.pendulums, sizes.surfaces, 0, 0, 0, 1, 1, 1, 0, 0, 0, 0, 0, 0)
 
 
 @dataclass(frozen=True)

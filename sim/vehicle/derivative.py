@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
 from maxq.control.kernel.jit import kernel, rare_routine, record_at, routine, routine_beside
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_SENSORS
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_FEED_LINES, MAX_SENSORS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
 from maxq.control.kernel.vectors import (
@@ -37,8 +37,10 @@ from maxq.sim.vehicle.air.kernel import (
     surface_loads,
     table_loads,
 )
+from maxq.sim.vehicle.air.lag import lag_first_modes
 from maxq.sim.vehicle.block import Q_BI, W_BI_B, Counts, Sizes, are_usual, counts, rigid_counts, usual_counts
 from maxq.sim.vehicle.body import kernel as rigid
+from maxq.sim.vehicle.buffet.kernel import Buffet, buffet_loads
 from maxq.sim.vehicle.clamp import clamp_tail
 from maxq.sim.vehicle.engine.kernel import (
     Deflected,
@@ -60,6 +62,7 @@ from maxq.sim.vehicle.environment import (
     winds_along_body,
 )
 from maxq.sim.vehicle.faults import ACTUATOR_FAULT, N_FAULT_SLOTS, STUCK
+from maxq.sim.vehicle.feed.kernel import FeedLine, feed_derivative, feed_forces, thrust_with_feed
 from maxq.sim.vehicle.modes.planar import (
     Bending,
     Modes,
@@ -110,6 +113,8 @@ class StageRecord:
     bending: Bending
     spatial_modes: SpatialModes
     slosh: Slosh
+    buffet: Buffet
+    feed_lines: Annotated[tuple[FeedLine, ...], (MAX_FEED_LINES,)]
     rate_damping: TableRef  # columns about x, y, z over the schedule's clock, N m s/rad; NO_TABLE: none
     roll_torque_Nm: float
     turn_torque_Nm: float  # of the thrusters in pitch and yaw
@@ -148,6 +153,8 @@ class StageInputs:
     gust_y_mps: float
     gust_z_mps: float
     thrust_share: float  # injected thrust of all engines, relative to their thrust
+    now_ns: int  # start of the step, and time since then, for the buffet
+    elapsed_s: float
 
 
 @kernel
@@ -178,6 +185,11 @@ def _derive_properties(vehicle: StageRecord, sizes: Counts, pool: Array, clock_s
         )
     rigid.prepare_outflow(vehicle.engine, vehicle.slosh, sizes, properties)
     moment_reference(vehicle.aero, sizes, pool, clock_s, properties)
+    for line in range(sizes.feed_lines):
+        table = vehicle.feed_lines[line].table
+        interpolate_into(
+            pool, table, find_interval(pool, table, clock_s), clock_s, properties, sch.feed_column(sizes, line)
+        )
     if vehicle.rate_damping.n_columns > 0:
         k = find_interval(pool, vehicle.rate_damping, clock_s)
         interpolate_into(
@@ -265,9 +277,36 @@ def _derivative(
         spatial_state(sizes, rate[0], properties, y, spatial, modes.spatial)
     engine, balanced = engine_motion(vehicle, sizes, held, properties, y, work, aux)
 
+    if sizes.air_lags > 0:
+        lag_first_modes(
+            vehicle.aero.lag_m,
+            aux.air.airspeed_mps,
+            rate[0],
+            y,
+            states.air_lag_index(sizes),
+            dy,
+            modes.planar,
+            work.aero.late,
+        )
     aero_force, aero_moment = aerodynamics(
         vehicle, sizes, environment, pool, held, rotation, rate, properties, y, work, aux.air
     )
+    if sizes.buffets > 0:
+        buffet_loads(
+            vehicle.buffet,
+            vehicle.sizes,
+            pool,
+            inputs.now_ns,
+            inputs.elapsed_s,
+            aux.air.mach,
+            aux.air.dynamic_pressure_Pa,
+            properties,
+            modes,
+            work.buffet,
+            aux.buffet_N,
+        )
+    if sizes.feed_lines > 0:
+        feed_forces(vehicle.feed_lines, vehicle.sizes, properties, y, states.feed_index(sizes), work.feed)
     thrust_force, thrust_moment, gimbal_load = thrust_loads(
         vehicle, sizes, engine, inputs.thrust_share, properties, work, aux
     )
@@ -281,6 +320,8 @@ def _derivative(
 
     force = add(add(aero_force, thrust_force), (inputs.force_x_N, inputs.force_y_N, inputs.force_z_N))
     moment = add(aero_moment, thrust_moment)
+    if sizes.buffets > 0:
+        force, moment = add(force, vector_at(work.buffet.load, 0)), add(moment, vector_at(work.buffet.load, 3))
     if held.settling_N > 0.0:
         force, axial_load = add(force, (held.settling_N, 0.0, 0.0)), axial_load + held.settling_N * inverse_mass
     if held.turn_torque_Nm[0] != 0.0 or held.turn_torque_Nm[1] != 0.0:
@@ -416,6 +457,19 @@ def _derivative(
         aux.tension_N[tank] = work.system.unknown[tank]
     if sizes.tvc_loads > 0:
         load_derivative(vehicle.tvc_load, vehicle.engine, sizes, y, loads, dy, work.system, aux.engines, aux.tvc_loads)
+    if sizes.feed_lines > 0:
+        steady = axial_load - (work.feed.axial_N * inverse_mass if held.on_pad == 0 else 0.0)
+        feed_derivative(
+            vehicle.feed_lines,
+            vehicle.sizes,
+            specific_force[0] - steady,
+            properties,
+            y,
+            states.feed_index(sizes),
+            dy,
+            modes,
+            work.feed,
+        )
     if sizes.sensors > 0:
         first = states.sensor_index(sizes, 0)
         sense(vehicle.sensors, sizes, rate, specific_force, alpha, properties, held.faults, y, first, dy, modes)
@@ -563,12 +617,16 @@ def thrust_loads(
     directly. `outer_spatial_load` adds the moment due to the displacement by spatial modes.
     """
     strength = (1.0 + share) * thrust(vehicle.engine, 0, properties[sch.THRUST_VACUUM], aux.air.pressure_Pa)
+    pushed = strength
+    if sizes.feed_lines > 0:
+        strength, push = thrust_with_feed(strength, 0, work.feed)
+        pushed = strength + push
     aux.engines.thrust_N[0], aux.engines.axial_thrust_N = strength, vehicle.engine.rest_x[0] * strength
     bend = gimbal_bend(sizes, properties, 0, work.modes)
     gimbal = aux.gimbal_bending
     gimbal.moved_y_m, gimbal.moved_z_m = bend.moved_y, bend.moved_z
     gimbal.slope_y_rad, gimbal.slope_z_rad = bend.slope_y, bend.slope_z
-    force, moment, load = thrust_load(vehicle.engine, 0, engine, strength, vehicle.follower_thrust, bend)
+    force, moment, load = thrust_load(vehicle.engine, 0, engine, pushed, vehicle.follower_thrust, bend)
     if sizes.engines > 1:
         further_force, further_moment, load = further_thrusts(
             vehicle.engine, vehicle.sizes, vehicle.follower_thrust, load, bend, share, properties, work, aux
@@ -641,12 +699,16 @@ def further_thrusts(
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for k in range(1, sizes.engines):
         strength = (1.0 + share) * thrust(e, k, properties[sch.thrust_column(sizes, e.curve[k])], aux.air.pressure_Pa)
+        pushed = strength
+        if sizes.feed_lines > 0:
+            strength, push = thrust_with_feed(strength, k, work.feed)
+            pushed = strength + push
         aux.engines.thrust_N[k] = strength
         aux.engines.axial_thrust_N += e.rest_x[k] * strength
         gimbal, bend = e.gimbal[k], first_bend
         if gimbal > 0:
             bend = gimbal_bend(sizes, properties, gimbal, modes)
-        own_force, own_moment, own_load = thrust_load(e, k, deflected_at(work.engine[k]), strength, follower, bend)
+        own_force, own_moment, own_load = thrust_load(e, k, deflected_at(work.engine[k]), pushed, follower, bend)
         force, moment = add(force, own_force), add(moment, own_moment)
         if gimbal == 0:
             load = sum_of_loads(load, own_load)

@@ -63,6 +63,16 @@ JET_DAMPING = 5  # integrals, as of an inertia, which times the angular rate giv
 MOMENT_REFERENCE = 11  # station to which the aerodynamic moments refer, m aft of the nose
 RATE_DAMPING = 12  # moment per body rate, given with the mass properties, N m s/rad (3)
 N_DERIVED = 15
+FEED_HEAD = 0  # of a feed line: tank pressure per axial acceleration, kg/m2
+FEED_INERTANCE = 1  # Pa s2/kg
+FEED_RESISTANCE = 2  # Pa s/kg
+FEED_FLOW_GAIN = 3  # liquid stored at the pump per flow of the line, s
+FEED_PUMP_GAIN = 4
+FEED_DISCHARGE_INERTANCE = 5
+FEED_DISCHARGE_RESISTANCE = 6
+FEED_CHAMBER = 7  # chamber pressure per flow, Pa s/kg
+FEED_COMPLIANCE = 8  # kg/Pa
+FEED_WIDTH = 9
 MODE_INVERSE_MASS = 0  # rows of a plane, and of the spatial modes: 1/kg
 MODE_STIFFNESS = 1  # N/m
 MODE_DAMPING = 2  # N s/m
@@ -146,6 +156,12 @@ def turning_row(sizes: Sizes | Counts, mode: int) -> int:
 
 
 @formula
+def first_acted(sizes: Sizes | Counts) -> int:
+    """Return the index, among the stations of gimbals, of the first station of feed lines, then of buffet."""
+    return sizes.gimbals - sizes.sensors - sizes.buffets - sizes.feed_lines
+
+
+@formula
 def gimbal_row(sizes: Sizes | Counts, gimbal: int) -> int:
     """Return the row of the shapes at a station of gimbals; the row of the slopes follows."""
     return MODE_PHI_GIMBAL if gimbal == 0 else surface_row(sizes, sizes.surfaces) + 2 * (gimbal - 1)
@@ -185,9 +201,15 @@ def spatial_derived(sizes: Sizes | Counts, row: int) -> int:
 
 
 @formula
+def feed_column(sizes: Sizes | Counts, line: int) -> int:
+    """Return the first column of a feed line."""
+    return spatial_derived(sizes, MODE_TANK_COMPLIANCE) + FEED_WIDTH * line
+
+
+@formula
 def properties_size(sizes: Sizes | Counts) -> int:
     """Return the number of columns of the table plus that of the derived properties."""
-    return spatial_derived(sizes, MODE_TANK_COMPLIANCE)
+    return feed_column(sizes, sizes.feed_lines)
 
 
 @kernel

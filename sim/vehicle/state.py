@@ -3,7 +3,8 @@
     r_I v_I q_BI w_BI_B | actuator pitch, yaw | gyro roll, pitch, yaw | gyro integrals
     eta[n_pitch] nu_pitch[n_pitch] xi[n_yaw] nu_yaw[n_yaw] | eta[n_spatial] nu[n_spatial]
     per pendulum: u_B (3), kappa_B (3) | per further group of engines: actuator pitch, yaw
-    per TVC load: angle, rate, friction in pitch and yaw | per sensor after the gyro: output, integral
+    per TVC load: angle, rate, friction in pitch and yaw | per feed line: four | air lags: two
+    per sensor after the gyro: output, integral
 
 The first `N_FIXED` entries are the same for every vehicle. The bending and slosh states of the vehicle follow. Position
 and velocity are those of the *core* CG (the vehicle without its sloshing masses, with the engine at rest), in the
@@ -20,6 +21,7 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import Vector
 from maxq.sim.vehicle.actuator.kernel import ACTUATORS, FURTHER_ACTUATORS
+from maxq.sim.vehicle.air.lag import AIR_LAGS
 from maxq.sim.vehicle.block import (
     ANGULAR_VELOCITY,
     ATTITUDE,
@@ -35,6 +37,7 @@ from maxq.sim.vehicle.block import (
     StateBlock,
     counts,
 )
+from maxq.sim.vehicle.feed.kernel import FEED_LINES
 from maxq.sim.vehicle.modes.planar import ETA_STATES, NU_PITCH_STATES, NU_YAW_STATES, XI_STATES
 from maxq.sim.vehicle.modes.spatial import NU_SPATIAL_STATES, SPATIAL_STATES
 from maxq.sim.vehicle.sensor.further import SENSORS
@@ -45,9 +48,10 @@ from maxq.sim.vehicle.tvc_load.kernel import TVC_LOADS
 BLOCKS = (
     POSITION, VELOCITY, ATTITUDE, ANGULAR_VELOCITY, ACTUATORS, GYROS, GYRO_ANGLES,
     ETA_STATES, NU_PITCH_STATES, XI_STATES, NU_YAW_STATES, SPATIAL_STATES, NU_SPATIAL_STATES, PENDULUMS,
-    FURTHER_ACTUATORS, TVC_LOADS, SENSORS,
+    FURTHER_ACTUATORS, TVC_LOADS, FEED_LINES, AIR_LAGS, SENSORS,
 )  # fmt: skip  # a table
-BOUNDED = (ANGULAR_VELOCITY, ETA_STATES, XI_STATES, SPATIAL_STATES, POSITION, VELOCITY)  # checked in this order
+# checked in this order
+BOUNDED = (ANGULAR_VELOCITY, ETA_STATES, XI_STATES, SPATIAL_STATES, AIR_LAGS, POSITION, VELOCITY)
 
 Index = tuple[int, ...]  # index of a state: a constant, and the increment per part for each field of `Counts`
 _NO_PARTS: Index = (0,) * (1 + len(Counts._fields))
@@ -70,9 +74,10 @@ GYRO = _index_of(GYROS)[0]
 GYRO_ANGLE = _index_of(GYRO_ANGLES)[0]
 _ETA, _XI, _SPATIAL = _index_of(ETA_STATES), _index_of(XI_STATES), _index_of(SPATIAL_STATES)
 _PENDULUM, _TVC_LOAD, _END = _index_of(PENDULUMS), _index_of(TVC_LOADS), _index_of(None)
-_FURTHER_ACTUATORS, _SENSORS = _index_of(FURTHER_ACTUATORS), _index_of(SENSORS)
+_FURTHER_ACTUATORS, _FEED_LINES, _AIR_LAGS = map(_index_of, (FURTHER_ACTUATORS, FEED_LINES, AIR_LAGS))
+_SENSORS = _index_of(SENSORS)
 N_FIXED = _ETA[0]
-N_ACTUATOR, N_SENSOR = len(ACTUATORS.states), len(SENSORS.states)
+N_ACTUATOR, N_FEED, N_SENSOR = len(ACTUATORS.states), len(FEED_LINES.states), len(SENSORS.states)
 MAX_STATE = sum(
     len(b.states) * (getattr(LARGEST, b.counted_by) if b.counted_by else b.fixed_parts) for b in BLOCKS
 )  # fmt: skip  # one sum
@@ -94,6 +99,7 @@ def _at(index: Index, sizes: Sizes | Counts) -> int:
     modes = index[1] * sizes.pitch_modes + index[2] * sizes.yaw_modes
     rest = index[3] * sizes.pendulums + index[4] * sizes.surfaces + index[5] * sizes.tables
     more = index[7] * sizes.further_groups + index[11] * sizes.tvc_loads + index[12] * sizes.sensors
+    more += index[14] * sizes.feed_lines + index[15] * sizes.air_lags
     return index[0] + modes + rest + index[6] * sizes.spatial_modes + more
 
 
@@ -136,6 +142,18 @@ def actuator_index(sizes: Sizes | Counts, group: int) -> int:
 def tvc_load_index(sizes: Sizes | Counts) -> int:
     """Return the index of angle, rate and friction of the first TVC load in pitch; those in yaw follow."""
     return _at(_TVC_LOAD, sizes)
+
+
+@kernel
+def feed_index(sizes: Sizes | Counts) -> int:
+    """Return the index of the first state of the first feed line."""
+    return _at(_FEED_LINES, sizes)
+
+
+@kernel
+def air_lag_index(sizes: Sizes | Counts) -> int:
+    """Return the index of the lagged coordinate of the first mode in pitch; that in yaw follows."""
+    return _at(_AIR_LAGS, sizes)
 
 
 @kernel

@@ -8,18 +8,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS
+from maxq.control.kernel.limits import MAX_BUFFETS, MAX_ENGINES, MAX_PENDULUMS
 from maxq.control.kernel.records import Array
 from maxq.sim.vehicle.air.kernel import AeroWork
+from maxq.sim.vehicle.buffet.kernel import BuffetWork
 from maxq.sim.vehicle.engine.kernel import EngineOutputs, KeptEngine
 from maxq.sim.vehicle.environment import AirData, Anchor
+from maxq.sim.vehicle.feed.kernel import FeedWork
 from maxq.sim.vehicle.modes.planar import GimbalBending, Modes
 from maxq.sim.vehicle.slosh.kernel import TankWork
 from maxq.sim.vehicle.tvc_load.kernel import System, TvcLoadOutputs
 
-# columns of the widest schedule (12 modes per plane, 12 spatial modes, 8 tanks, 9 surfaces, 9 engines and 5 sensors at
-# different stations: 4324) and derived properties (439)
-PROPERTIES_SIZE = 4864
+# columns of the widest schedule (12 modes per plane, 12 spatial modes, 8 tanks, 9 surfaces, 9 engines, 4 feed
+# lines, 8 places of buffet and 5 sensors at different stations: 5764) and derived properties (475)
+PROPERTIES_SIZE = 6336
 
 
 @dataclass
@@ -32,6 +34,8 @@ class Work:
     engine: Annotated[tuple[KeptEngine, ...], (MAX_ENGINES,)]  # after the first
     tank: Annotated[tuple[TankWork, ...], (MAX_PENDULUMS,)]
     system: System
+    buffet: BuffetWork
+    feed: FeedWork
 
 
 @dataclass
@@ -49,6 +53,7 @@ class Aux:
     gyro_bending_radps: Annotated[Array, (2,)]  # angular rate due to bending at the gyro: pitch, yaw
     axial_load_mps2: float  # axial specific force that softens the modes and drives the pendulums
     tension_N: Annotated[Array, (MAX_PENDULUMS,)]  # of the rod of each pendulum
+    buffet_N: Annotated[Array, (2 * MAX_BUFFETS,)]  # force along z and along y at each station
 
 
 class Evaluation(NamedTuple):

@@ -52,6 +52,7 @@ class Aero:
     span_m: float  # for roll moment and damping
     crossflow_station_m: float
     earth_rates: int  # 1: damping acts on rates relative to the Earth, 0: on inertial rates
+    lag_m: float  # length of the lag behind the first modes
     local_incidence: int  # 1: bending changes the angle of attack of the surfaces
     penetration: int  # 1: each part has the wind at its own position
     force_factor: float  # of CN_alpha and cross-flow drag
@@ -86,6 +87,7 @@ class AeroWork:
     mach_row: Annotated[Array, (FIRST_SURFACE + 2 * (MAX_SURFACES + 2),)]  # columns of the Mach table
     surface: Annotated[tuple[SurfaceLoad, ...], (MAX_SURFACES + 1,)]
     wind_B_mps: PartWinds
+    late: Annotated[Array, (4,)]  # see `lag.lag_first_modes`
     incidence: IncidenceWork
 
 
@@ -204,6 +206,11 @@ def local_flow(
         w += modal_sum(sizes, properties, in_pitch, planar.nu_mps, of_plane(sch.PITCH))
         v += u * modal_sum(sizes, properties, in_yaw + slopes, planar.eta_m, of_plane(sch.YAW))
         v += modal_sum(sizes, properties, in_yaw, planar.nu_mps, of_plane(sch.YAW))
+        if sizes.air_lags > 0:
+            late, phi, slope = work.late, properties[in_pitch], properties[in_pitch + slopes]
+            w += u * (slope * late[0]) + phi * late[1]
+            phi, slope = properties[in_yaw], properties[in_yaw + slopes]
+            v += u * (slope * late[2]) + phi * late[3]
         if sizes.spatial_modes > 0:
             turned = spatial_motion(sizes, properties, sch.surface_place(sizes, s), modes.spatial.eta_m)
             moving = spatial_motion(sizes, properties, sch.surface_place(sizes, s), modes.spatial.nu_mps)

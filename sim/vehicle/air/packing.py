@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -77,6 +78,7 @@ def pack_aero(scenario: Scenario, stage: Stage, burn: Burn, pool: Pool) -> Aero:
         span_m=reference.span_m,
         crossflow_station_m=0.5 * reference.length_m if station is None else station,
         earth_rates=int(aero.rate_reference == "earth"),
+        lag_m=aero.lag_m or math.inf,
         local_incidence=int(scenario.switches.local_incidence),
         penetration=int(scenario.switches.gust_penetration),
         force_factor=aero.force_factor,

@@ -10,7 +10,7 @@ from pydantic import Field
 from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.tables_csv import Columns, CsvTable
-from maxq.sim.input.values import NotNegative, Section, optional
+from maxq.sim.input.values import NotNegative, Positive, Section, optional
 from maxq.sim.vehicle.air.tables import COEFFICIENT_COLUMNS, GridTable, grid_table
 
 COEFFICIENTS = (
@@ -152,6 +152,9 @@ class AeroSection(Section):
     force_factor: NotNegative = optional("factor on normal force and cross-flow drag", 1.0)
     axial_factor: NotNegative = optional("factor on axial force and drag (CA, CD)", 1.0)
     damping_factor: NotNegative = optional("factor on damping by body rates (Cmq, Cnr, Clp)", 1.0)
+    lag_m: Positive | None = optional(
+        "length over which the air lags behind the first bending mode of each plane, m (default: no lag)"
+    )
     centre_shift_m: float = optional("aft shift of every lifting part's centre, m", 0.0)
     rate_reference: Literal["inertial", "earth"] = optional("reference of the damped body rates", "inertial")
     surface: tuple[AeroSurface, ...] = optional(

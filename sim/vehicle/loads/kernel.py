@@ -127,6 +127,10 @@ def evaluate_sections(
             injected = load_of_point(station, centre[0], force, centre[1] - shift_y, centre[2] - shift_z)
             total = add_loads(total, injected)
             total = (total[0], total[1], total[2], total[3] + inputs.torque_y_Nm, total[4] + inputs.torque_z_Nm)
+        for s in range(sizes.buffets):
+            if vehicle.buffet.station_m[s] <= station:
+                force = (0.0, at.aux.buffet_N[2 * s + 1], at.aux.buffet_N[2 * s])
+                total = add_loads(total, load_of_point(station, vehicle.buffet.station_m[s], force, 0.0, 0.0))
         first = SECTION_WIDTH * n
         for j in range(SECTION_WIDTH):
             out.section[first + j] = total[j]

@@ -53,7 +53,7 @@ class Places(NamedTuple):
     gyro_m: float
     hinges_m: tuple[bytes, ...]  # hinge of each tank at each time (T,), as bytes
     surfaces_m: tuple[float, ...]
-    sensors_m: tuple[float, ...] = ()  # of the sensors after the gyro
+    sensors_m: tuple[float, ...] = ()  # of feed lines, buffet, then sensors after the gyro
     carried: Carried = Carried()
     mass_kg: tuple[float, ...] = ()
     hung: tuple[Hung, ...] = ()
