@@ -5,7 +5,7 @@ The rest of the body is free, so that the modes bend as those of a cantilever (d
 
 from __future__ import annotations
 
-from maxq.control.kernel.jit import kernel, rare_routine, record_at
+from maxq.control.kernel.jit import kernel, rare_routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import Matrix, Symmetric, Vector, add, cross, dot, rotate_back, scaled, vector_at
 from maxq.sim.vehicle import schedule as sch
@@ -53,7 +53,7 @@ def clamp_tail(
     about_cg = cross(offset, carried)
     for k in range(sizes.pendulums):
         pull = _hanging(k, pad, properties, y, pendulum_index(sizes, k))
-        tank = record_at(work.tank, k)
+        tank = work.tank[k]
         carried = add(carried, scaled(-1.0, pull))
         hinge = add(vector_at(tank.hinge_m, 0), (0.0, tank.shift_m[1], tank.shift_m[2]))
         about_cg = add(about_cg, scaled(-1.0, cross(hinge, pull)))

@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from maxq.control.kernel.jit import formula, kernel, record_at, routine
+from maxq.control.kernel.jit import formula, kernel, routine
 from maxq.control.kernel.limits import (
     MAX_BOOSTERS,
     MAX_ENGINES,
@@ -90,6 +90,7 @@ MAX_LOAD_COLUMNS += MAX_BOOSTER_COLUMNS
 AXIAL, SHEAR_Y, SHEAR_Z, MOMENT_Y, MOMENT_Z = range(5)
 SECTION_WIDTH = 5
 _EXTREMES = N_KINDS * MAX_LOAD_STATIONS  # number of extremes of a stage
+MAX_EXTREMES = MAX_STAGES * _EXTREMES
 
 
 @dataclass(frozen=True)
@@ -131,10 +132,10 @@ class SectionLoads:
     mismatch: float  # largest relative difference between line mass and core so far
     mismatch_ns: int
     section: Annotated[Array, (SECTION_WIDTH * MAX_LOAD_STATIONS,)]
-    value: Annotated[Array, (MAX_STAGES * _EXTREMES,)]  # stage by stage, kind by kind, station by station
-    value_ns: Annotated[IntArray, (MAX_STAGES * _EXTREMES,)]
-    ratio: Annotated[Array, (MAX_STAGES * _EXTREMES,)]  # ratio to the limit
-    ratio_ns: Annotated[IntArray, (MAX_STAGES * _EXTREMES,)]
+    value: Annotated[Array, (MAX_EXTREMES,)]  # stage by stage, kind by kind, station by station
+    value_ns: Annotated[IntArray, (MAX_EXTREMES,)]
+    ratio: Annotated[Array, (MAX_EXTREMES,)]  # ratio to the limit
+    ratio_ns: Annotated[IntArray, (MAX_EXTREMES,)]
 
 
 class Drivers(NamedTuple):
@@ -496,7 +497,7 @@ def _of_pendulum(
     The rod acts at its hinge (laterally) and at the bottom of the tank (axially), and the damper's force acts at the
     bob.
     """
-    own, y = record_at(work.tank, tank), at.y
+    own, y = work.tank[tank], at.y
     first = pendulum_index(sizes, 0) + N_PENDULUM * tank
     u, pull = vector_at(y, first), work.system.unknown[tank]
     hinge = at.properties[tank_column(tank) + TANK_HINGE]
@@ -684,7 +685,7 @@ def _with_pendulum(
     pull: Pull,
 ) -> Pull:
     """Return the load on a booster with that of a pendulum: the rod's tension at its hinge, the damper at the bob."""
-    own, first = record_at(work.tank, tank), pendulum_index(sizes, 0) + N_PENDULUM * tank
+    own, first = work.tank[tank], pendulum_index(sizes, 0) + N_PENDULUM * tank
     u, tension = vector_at(at.y, first), work.system.unknown[tank]
     length, hinge = pendulum_length(at.properties, tank), at.properties[tank_column(tank) + TANK_HINGE]
     place = _on_booster(first_m, (hinge, slosh.place_y_m[tank], slosh.place_z_m[tank]), turned)
