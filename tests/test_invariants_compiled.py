@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 
-from maxq.control.kernel.jit import from_python, kernel
+from maxq.control.kernel.jit import from_python, kernel, routine
 from maxq.control.kernel.records import Array, IntArray, blank
 
 SEGMENT = """
@@ -90,3 +90,21 @@ def test_arrays_in_records_are_the_same_in_compiled_code() -> None:
     assert plain == 20.0 + 21.0 + 7000.0 + 32.0 + 2.0
     assert records[0].tobytes() == records[1].tobytes()
     assert records[0]["part"]["value"][0].tolist() == [[0, 1, 2], [10, 11, 12], [20, 21, 22], [30, 31, 32]]
+
+
+@routine
+def make_room(count: int) -> int:
+    return len(np.empty(count))
+
+
+@kernel
+def room_for(count: int) -> int:
+    return make_room(count - 1) + 1
+
+
+def test_an_error_in_a_called_kernel_reaches_python() -> None:
+    """Numba's own code for arrays raises; the status of each call passes the error on."""
+    compiled = from_python(room_for)
+    assert compiled(4) == 4
+    with pytest.raises(ValueError, match="negative dimensions"):
+        compiled(0)
