@@ -260,7 +260,7 @@ def oracle_vehicle(parts: Parts, damping_1ps: tuple[float, ...] = ()) -> system.
 def _meet(P, pool, state, y, space, until_ns):  # type: ignore[no-untyped-def]  # Numba infers
     memory = state[0]
     p = P[memory.clock.stage]
-    pool, y, properties = bare_pointer(pool), bare_pointer(y), bare_pointer(space[0].properties)
+    pool, y, properties = bare_pointer(pool), bare_pointer(y), space[0].properties
     flight_events.process_due_events(p, pool, memory, y, space[0].aux, properties)
     return flight_events.step_length(p, pool, memory, until_ns)
 

@@ -11,7 +11,10 @@ import campaignkit
 import numba
 import pytest
 from numba.core import types
+from numba.core.base import BaseContext
+from numba.core.callconv import CPUCallConv
 from numba.core.types.functions import BaseFunction
+from numba.core.typing.arraydecl import RecordAttribute
 from numba.np import numpy_support
 
 from maxq.control.kernel.jit import entry, kernel
@@ -27,6 +30,8 @@ def process_wide() -> dict[str, Any]:
         "from_struct_dtype": numpy_support.from_struct_dtype,
         "mangling_args": types.Record.mangling_args,
         "mangling_of_tuples": types.NamedTuple.mangling_args,
+        "fields": (RecordAttribute.generic_resolve, BaseContext.get_getattr),
+        "status": (CPUCallConv._get_return_status, CPUCallConv.return_status_propagate),
         "slp_vectorize": numba.config.SLP_VECTORIZE,
         "frozen": gc.get_freeze_count(),
         "collecting": gc.isenabled(),
@@ -42,6 +47,11 @@ def test_numba_is_as_it_came() -> None:
     assert found["get_call_type"].__module__ == "numba.core.types.functions"
     assert found["from_struct_dtype"].__module__ == "numba.np.numpy_support"
     assert found["mangling_args"].fget.__module__ == "numba.core.types.npytypes"
+    assert {each.__module__ for each in (*found["fields"], *found["status"])} == {
+        "numba.core.base",
+        "numba.core.callconv",
+        "numba.core.typing.arraydecl",
+    }
     assert found["slp_vectorize"] == 0
 
 

@@ -16,15 +16,16 @@ import select
 import sys
 import threading
 import warnings
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, ClassVar
 
 import llvmlite.binding
 import numba
 from numba.core import types
+from numba.core.base import BaseContext
+from numba.core.callconv import RETCODE_NONE, RETCODE_OK, CPUCallConv
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, compile_result
-from numba.core.compiler_machinery import PassManager
 from numba.core.funcdesc import FunctionDescriptor
 from numba.core.typed_passes import (
     IRLegalization,
@@ -35,9 +36,11 @@ from numba.core.typed_passes import (
 )
 from numba.core.types.functions import BaseFunction
 from numba.core.typing import signature
+from numba.core.typing.arraydecl import RecordAttribute
 from numba.core.untyped_passes import FixupArgs, GenericRewrites, IRProcessing, ReconstructSSA, TranslateByteCode
 
 from maxq.control.kernel import progress
+from maxq.control.kernel.fields import field_pointer, read_pointer
 from maxq.control.kernel.kept_code import is_own, keep_routine, kept_routine, load_objects
 from maxq.control.kernel.machine import cores
 
@@ -65,6 +68,9 @@ class _KernelCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
         self._finalize_dynamic_globals()
         self._finalized = True
 
+    def _optimize_functions(self, module: Any) -> None:
+        module.data_layout = self._codegen._data_layout  # LLVM optimises the kernel with its callers
+
     def by_itself(self) -> Any:
         """Return the LLVM module of the kernel without its callees."""
         return super()._get_module_for_linking()
@@ -76,7 +82,18 @@ class _KernelCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
         return whole
 
 
-class _EntryCode(JITCodeLibrary):  # type: ignore[misc]  # Numba has no types
+class _WholeCode(JITCodeLibrary):  # type: ignore[misc]  # as above
+    """Code that LLVM optimises once. Numba's own passes before that take an eighth of the compilation time."""
+
+    _optimize_functions = _KernelCode._optimize_functions
+
+    def _optimize_final_module(self) -> None:
+        made = self._codegen._module_pass_manager()
+        passes, *builder = made if isinstance(made, tuple) else (made,)  # without a builder before Numba 0.62
+        passes.run(self._final_module, *builder)
+
+
+class _EntryCode(_WholeCode):
     """The code of an entry with all its direct and indirect callees, linked and optimised once.
 
     Routines compiled by another process are excluded. `objects` maps their names to their object files.
@@ -133,6 +150,21 @@ def _mangled(kind: str, name: str) -> tuple[str, tuple[int]]:
     return kind, (int.from_bytes(hashlib.sha256(name.encode()).digest()[:7], "big"),)
 
 
+class _Status:
+    """The status that a call returns. Code for an attribute is made when it is read; Numba makes it for all of them."""
+
+    def __init__(self, code: Any, excinfoptr: Any, builder: Any, whole: Callable[[], Any]) -> None:
+        self.code, self.excinfoptr, self._builder, self._whole = code, excinfoptr, builder, whole
+
+    @property
+    def is_error(self) -> Any:
+        unlike = [self._builder.icmp_signed("!=", self.code, passed) for passed in (RETCODE_OK, RETCODE_NONE)]
+        return self._builder.and_(*unlike)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._whole(), name)
+
+
 class _AdaptedNumba:
     """The changes to Numba that apply while a kernel compiles, under Numba's own compilation lock.
 
@@ -145,6 +177,9 @@ class _AdaptedNumba:
     - `mangling_args`: symbols in machine code contain a hash of a record's layout. Numba uses a counter of the records
       in a process instead, so code that other processes stored for other layouts can have the same name. For a tuple
       with records, Numba writes all their fields, which takes 17,000 characters.
+    - `generic_resolve`, `get_getattr`: an array in a record is read as a pointer (fields.py).
+    - `_get_return_status`, `return_status_propagate`: kernels contain no `try`, so that a caller passes an error of a
+      call on without a test of its kind.
     """
 
     def __init__(self) -> None:
@@ -165,6 +200,27 @@ class _AdaptedNumba:
                 known[key] = function, find_type(function, context, args, named)
             return known[key][1]
 
+        find_status, propagate = CPUCallConv._get_return_status, CPUCallConv.return_status_propagate
+        find_field, find_reader = RecordAttribute.generic_resolve, BaseContext.get_getattr
+
+        def pointer_to_field(template: Any, record: Any, name: str) -> Any:
+            return field_pointer(find_field(template, record, name))
+
+        def pointer_reader(context: Any, record: Any, name: str) -> Any:
+            if isinstance(record, types.Record) and field_pointer(record.typeof(name)) is not record.typeof(name):
+                return read_pointer
+            return find_reader(context, record, name)
+
+        def lean_status(of: Any, builder: Any, code: Any, where: Any) -> Any:
+            return _Status(code, where, builder, functools.partial(find_status, of, builder, code, where))
+
+        def pass_on(of: Any, builder: Any, status: Any) -> None:
+            if isinstance(status, _Status):
+                builder.store(status.excinfoptr, of._get_excinfo_argument(builder.function))
+                builder.ret(status.code)
+            else:
+                propagate(of, builder, status)
+
         layout = property(lambda record: _mangled("Record", record.name))
         plain = vars(types.Type)["mangling_args"].fget
         short = property(lambda of: plain(of) if len(of.name) < _LONG_NAME else _mangled(type(of).__name__, of.name))
@@ -173,6 +229,10 @@ class _AdaptedNumba:
             (BaseFunction, "get_call_type", known_type),
             (types.Record, "mangling_args", layout),
             (types.Type, "mangling_args", short),
+            (CPUCallConv, "_get_return_status", lean_status),
+            (CPUCallConv, "return_status_propagate", pass_on),
+            (RecordAttribute, "generic_resolve", pointer_to_field),
+            (BaseContext, "get_getattr", pointer_reader),
         )
 
     def __enter__(self) -> None:
@@ -210,6 +270,18 @@ The passes for closures, `with`, exceptions, array expressions, parallel loops a
 """
 
 
+class _Passes:
+    """The pipeline of `_PASSES`, without the analysis, timing and reports that Numba adds to each pass."""
+
+    pipeline_name = "kernel"
+    exec_times: ClassVar = dict[str, Any]()
+
+    @staticmethod
+    def run(state: Any) -> None:
+        for each in _PASSES:
+            each().run_pass(state)
+
+
 class EntryCompiler(CompilerBase):  # type: ignore[misc]  # Numba has no types
     """A Numba compiler that creates code of class `code` and suspends garbage collection.
 
@@ -219,11 +291,7 @@ class EntryCompiler(CompilerBase):  # type: ignore[misc]  # Numba has no types
     code: type[JITCodeLibrary] = _EntryCode
 
     def define_pipelines(self) -> list[Any]:
-        passes = PassManager("kernel")
-        for each in _PASSES:
-            passes.add_pass(each, each.__name__)
-        passes.finalize()
-        return [passes]
+        return [_Passes]
 
     def _compile_core(self) -> Any:
         self.state.library = self.code(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
@@ -388,7 +456,7 @@ class BesideCompiler(DisjointCompiler):
 
     def machine_code_here(self, name: str) -> bytes:
         codegen = self.state.targetctx.codegen()
-        library = JITCodeLibrary(codegen, name)
+        library = _WholeCode(codegen, name)
         with progress.current().part(self.function):
             library._final_module = self.module_here(name)
             library._optimize_final_module()

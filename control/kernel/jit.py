@@ -19,15 +19,11 @@ import numpy as np
 from numba import types
 from numba.core.compiler import CompilerBase
 from numba.extending import intrinsic, overload
-from numba.np import numpy_support
 from numpy.typing import NDArray
 
 from maxq.control.kernel.compilers import BesideCompiler, DisjointCompiler, EntryCompiler, KernelCompiler, RareCompiler
 from maxq.control.kernel.kept_code import EntryCache
 from maxq.control.kernel.records import constants_in
-
-# Every first call of an entry derives the type of each record again, a tenth of a second in all.
-numpy_support.from_struct_dtype = functools.lru_cache(maxsize=64)(numpy_support.from_struct_dtype)
 
 Function = TypeVar("Function", bound=Callable[..., object])
 Array = TypeVar("Array", NDArray[np.float64], NDArray[np.int64])
@@ -226,24 +222,3 @@ def _integer(record, name):  # type: ignore[no-untyped-def]  # Numba compares bo
         value = known[name]
         return lambda record, name: value
     return lambda record, name: record[name]
-
-
-@intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
-def _record_at(context: Any, records: Any, index: Any) -> Any:
-    """Return a pointer to a record of a contiguous array (Numba intrinsic)."""
-
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        return builder.gep(data, [arguments[1]])
-
-    return records.dtype(records, index), build
-
-
-def record_at(records: Any, index: int) -> Any:
-    """Return the record of an array at a non-negative index, without Numba's check of the sign."""
-    return records[index]
-
-
-@overload(record_at, target="cpu")
-def _record_of(records, index):  # type: ignore[no-untyped-def]  # Numba compares both signatures, annotations included
-    return lambda records, index: _record_at(records, index)  # noqa: PLW0108  # as above

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-_OPTIMISED = 0.15
+_OPTIMISED = 0.19
 """The cost of optimising and emitting one byte of bytecode, relative to that of its translation to LLVM IR.
 
-The bytes of an inlined kernel count at each call. Measured for the four parts of a flight's kernels: 0.11 to 0.15.
+The bytes of an inlined kernel count at each call. Measured for the four parts of a flight's kernels: 0.17 to 0.22.
 """
 
 watchers: list[Callable[[str, float], None]] = []

@@ -348,7 +348,7 @@ def differentiate_vehicle(
     slopes: Array,
 ) -> None:
     """Apply `differentiate` to one vehicle."""
-    dy, work, columns, x = bare_pointer(space.rate), space.work, bare_pointer(space.columns), bare_pointer(x)
+    dy, work, columns, x = space.rate, space.work, space.columns, bare_pointer(x)
     sizes = counts(p.vehicle.sizes)
     rows, n, inputs = len(rate), coordinate_count(sizes), 2 * (1 + sizes.further_groups) + 3
     reference, command = bare_pointer(tableau[3 * LEVELS]), bare_pointer(tableau[3 * LEVELS + 1])

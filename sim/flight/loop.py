@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from maxq.control.computer import start_computer, take_over
 from maxq.control.kernel.jit import bare_pointer, entry, kernel, routine, routine_beside
+from maxq.control.kernel.limits import MAX_PENDULUMS, MAX_STAGES
 from maxq.control.kernel.records import Array, IntArray, Records
 from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight import events, step
@@ -17,7 +18,7 @@ from maxq.sim.flight.parameters import APOGEE, DIVERGED, IMPACT, LIFTOFF, N_EVEN
 from maxq.sim.flight.telemetry import Logged, fill_fast, fill_slow
 from maxq.sim.vehicle.block import Q_BI, counts
 from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainly, flight_direction
-from maxq.sim.vehicle.loads.kernel import evaluate_sections, gather_sections
+from maxq.sim.vehicle.loads.kernel import MAX_EXTREMES, evaluate_sections, gather_sections
 from maxq.sim.vehicle.schedule import TOTAL_MASS, properties_size
 from maxq.sim.vehicle.state import FINITE, divergence_cause, state_size
 from maxq.sim.vehicle.workspace import Evaluation
@@ -46,13 +47,13 @@ def begin(P: Records, pool: Array, state: Records, y: Array) -> None:
     for stage in range(len(P)):
         clock.stage_burnout_ns[stage] = -1
         clock.stage_separation_ns[stage] = -1
-    for extreme in range(len(memory.sections.value_ns)):
+    for extreme in range(MAX_EXTREMES):
         memory.sections.value_ns[extreme], memory.sections.ratio_ns[extreme] = -1, -1
     memory.sections.mismatch_ns = -1
     for metric in range(N_METRICS):
         memory.extremes.value[metric] = 0.0
         memory.extremes.time_ns[metric] = -1
-    for pendulum in range(len(memory.waves.largest)):
+    for pendulum in range(MAX_STAGES * MAX_PENDULUMS):
         memory.waves.largest[pendulum] = 0.0
         memory.waves.largest_ns[pendulum], memory.waves.broke_ns[pendulum] = -1, -1
     memory.burnout.time_ns = -1
@@ -114,19 +115,19 @@ def advance(
     memory, logged = state[0], log_of[0]
     clock = memory.clock
     room = arena[0]
-    y_stage, rate, aux = bare_pointer(room.y_stage), bare_pointer(room.stage_rate), room.stage_aux
-    start, middle = bare_pointer(room.start_properties), bare_pointer(room.middle_properties)
+    y_stage, rate, aux = room.y_stage, room.stage_rate, room.stage_aux
+    start, middle = room.start_properties, room.middle_properties
     pool = bare_pointer(pool)
     space = step.Workspace(  # not in a function, because no kernel can return a tuple with a record
-        start=Evaluation(start, bare_pointer(y), bare_pointer(room.start_rate), room.start_aux),
+        start=Evaluation(start, bare_pointer(y), room.start_rate, room.start_aux),
         middle=Evaluation(middle, y_stage, rate, aux),
-        end=Evaluation(bare_pointer(room.end_properties), y_stage, rate, aux),
-        y_end=bare_pointer(room.y_end),
+        end=Evaluation(room.end_properties, y_stage, rate, aux),
+        y_end=room.y_end,
         work=room.work,
-        columns=bare_pointer(room.columns),
-        moved=bare_pointer(room.moved),
-        kept=bare_pointer(room.kept),
-        between=Evaluation(middle, bare_pointer(room.y_between), bare_pointer(room.between_rate), aux),
+        columns=room.columns,
+        moved=room.moved,
+        kept=room.kept,
+        between=Evaluation(middle, room.y_between, room.between_rate, aux),
     )
     now_at, log_rows = space.start, LogRows(fast_ns, fast, slow_ns, slow, rows)
     while clock.finished == 0 and clock.now_ns < until_ns:

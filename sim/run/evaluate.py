@@ -66,14 +66,14 @@ def evaluate_into(
     """
     memory, room = state[0], space[0]
     p = P[memory.clock.stage]
-    pool, y, properties = bare_pointer(pool), bare_pointer(y), bare_pointer(room.properties)
+    pool, y, properties = bare_pointer(pool), bare_pointer(y), room.properties
     # a step is within an interval of the schedule, and breakpoints are exact to the nanosecond
     within_s = schedule_clock(p, memory.clock, now_ns, 1e-9)
     memory.clock.interval = find_interval(pool, p.vehicle.schedule, within_s)
     read_schedule(p, pool, memory, now_ns, elapsed_s, properties)
-    at = Evaluation(properties, y, bare_pointer(room.rate), room.aux)
+    at = Evaluation(properties, y, room.rate, room.aux)
     evaluate(p, pool, memory, now_ns, elapsed_s, at, room.work)
     if p.loads.stations > 0:
-        columns = bare_pointer(room.columns)
+        columns = room.columns
         clock_s = schedule_clock(p, memory.clock, now_ns, elapsed_s)
         evaluate_sections(p.loads, p.vehicle, memory.inputs, pool, clock_s, at, room.work, columns, memory.sections)

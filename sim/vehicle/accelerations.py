@@ -10,7 +10,7 @@ is the number of pendulums plus twice the number of such engines.
 from __future__ import annotations
 
 from maxq.control.kernel import vectors as vec
-from maxq.control.kernel.jit import bare_pointer, formula, kernel, record_at
+from maxq.control.kernel.jit import formula, kernel
 from maxq.control.kernel.records import Array
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle.block import Counts
@@ -54,14 +54,14 @@ def accelerate(
     Modal accelerations and tensions (N) are written to `work`.
     """
     offset, inverse, modes = balanced.offset, balanced.inverse_inertia, work.modes
-    planar, spatial, system, unknown = modes.planar, modes.spatial, work.system, bare_pointer(work.system.unknown)
+    planar, spatial, system, unknown = modes.planar, modes.spatial, work.system, work.system.unknown
     inverse_mass = properties[sch.schedule_width(sizes) + sch.INVERSE_CORE_MASS]
     accel = vec.scaled(inverse_mass, force)  # acceleration of the deflected CG without tensions
     if on_pad == 1:
         inverse_mass, accel, inverse = 0.0, pad_accel, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     rolls_modes = balanced.given_way_kgm2 > 0.0  # otherwise no deflected mass couples roll and modes
     for k in range(sizes.pendulums):
-        tank = record_at(work.tank, k)
+        tank = work.tank[k]
         _add_damper_to_modes(sizes, k, tank, properties, modes)
         if rolls_modes:
             _arm_through_modes(sizes, k, vec.vector_at(y, first + slosh.N_PENDULUM * k), properties, modes, tank)
@@ -76,27 +76,27 @@ def accelerate(
         load_responses(sizes, inverse_mass, inverse, properties, system)
     _solve_tensions(sizes, inverse_mass, accel, alpha, properties, y, first, work)
     for k in range(sizes.pendulums):
-        u, tension, tank = vec.vector_at(y, first + slosh.N_PENDULUM * k), unknown[k], record_at(work.tank, k)
+        u, tension, tank = vec.vector_at(y, first + slosh.N_PENDULUM * k), unknown[k], work.tank[k]
         accel = vec.add(accel, vec.scaled(inverse_mass * tension, u))
         alpha = vec.add(alpha, vec.scaled(tension, vec.vector_at(tank.alpha_radps2pN, 0)))
         add_tension_to_modes(sizes, k, tension * u[1], tension * u[2], properties, planar)
         if sizes.spatial_modes > 0:
-            shapes = bare_pointer(tank.shapes_along_rod)
-            add_tension_to_spatial(sizes, properties, shapes, tension, bare_pointer(spatial.accel_mps2))
+            shapes = tank.shapes_along_rod
+            add_tension_to_spatial(sizes, properties, shapes, tension, spatial.accel_mps2)
     for k in range(2 * sizes.tvc_loads):
-        swing, turn = record_at(system.swing, k), unknown[sizes.pendulums + k]
+        swing, turn = system.swing[k], unknown[sizes.pendulums + k]
         accel = vec.add(accel, vec.scaled(turn, vec.vector_at(swing.accel_mps2, 0)))
         alpha = vec.add(alpha, vec.scaled(turn, vec.vector_at(swing.alpha_radps2, 0)))
         add_load_to_modes(sizes, swing, turn, modes)
     if rolls_modes:
         add_roll_to_modes(sizes, alpha[0], modes)
         for k in range(sizes.pendulums):
-            tank = record_at(work.tank, k)
+            tank = work.tank[k]
             tank.bending_accel_mps2[1] += alpha[0] * tank.roll_bend_y_m
             tank.bending_accel_mps2[2] += alpha[0] * tank.roll_bend_z_m
     if sizes.spatial_modes > 0:
         for k in range(sizes.pendulums):
-            bending = record_at(work.tank, k).bending_accel_mps2
+            bending = work.tank[k].bending_accel_mps2
             moved = spatial_motion(sizes, properties, sch.tank_place(k), spatial.accel_mps2)
             bending[0] = moved[0]
             bending[1] += moved[1]
@@ -168,26 +168,26 @@ def _solve_tensions(
     m_k, so that a tank without mass leaves the system regular.
     """
     n, planar, spatial, system = sizes.pendulums, work.modes.planar, work.modes.spatial, work.system
-    matrix, unknown = bare_pointer(system.matrix), bare_pointer(system.unknown)
+    matrix, unknown = system.matrix, system.unknown
     in_pitch, in_yaw = sch.compliance_column(sizes, sch.PITCH), sch.compliance_column(sizes, sch.YAW)
     for k in range(n):
         u, mass = vec.vector_at(y, first + slosh.N_PENDULUM * k), slosh.bob_mass(properties, k)
-        tank = record_at(work.tank, k)
-        arm, shapes = vec.vector_at(tank.arm_m, 0), bare_pointer(tank.shapes_along_rod)
+        tank = work.tank[k]
+        arm, shapes = vec.vector_at(tank.arm_m, 0), tank.shapes_along_rod
         bend_y, bend_z = _bending_acceleration(sizes, k, properties, planar.accel_mps2)
         tank.bending_accel_mps2[1], tank.bending_accel_mps2[2] = bend_y, bend_z
         along = vec.dot(u, accel) + vec.dot(arm, alpha) + u[1] * bend_y + u[2] * bend_z
         if sizes.spatial_modes > 0:
-            accel_mps2 = bare_pointer(spatial.accel_mps2)
+            accel_mps2 = spatial.accel_mps2
             along += spatial_along_rod(sizes, properties, sch.tank_place(k), u, accel_mps2, shapes)
         unknown[k] = mass * (tank.demand_mps2 - along)
         for j in range(k + 1):
-            u_j, other = vec.vector_at(y, first + slosh.N_PENDULUM * j), record_at(work.tank, j)
+            u_j, other = vec.vector_at(y, first + slosh.N_PENDULUM * j), work.tank[j]
             g = inverse_mass * vec.dot(u, u_j)
             g += vec.dot(arm, vec.vector_at(other.alpha_radps2pN, 0))
             g += properties[in_pitch + k * n + j] * u[2] * u_j[2] + properties[in_yaw + k * n + j] * u[1] * u_j[1]
             if sizes.spatial_modes > 0:
-                g += spatial_compliance(sizes, properties, shapes, bare_pointer(other.shapes_along_rod))
+                g += spatial_compliance(sizes, properties, shapes, other.shapes_along_rod)
             matrix[entry(j, k)] = slosh.bob_mass(properties, j) * g
             matrix[entry(k, j)] = mass * g
         matrix[entry(k, k)] += 1.0
@@ -197,13 +197,13 @@ def _solve_tensions(
     for k in range(n):  # the tensions also accelerate the hinges
         u, tension = vec.vector_at(y, first + slosh.N_PENDULUM * k), unknown[k]
         for j in range(n):
-            bending = record_at(work.tank, j).bending_accel_mps2
+            bending = work.tank[j].bending_accel_mps2
             bending[1] += properties[in_yaw + k * n + j] * (tension * u[1])
             bending[2] += properties[in_pitch + k * n + j] * (tension * u[2])
     for k in range(2 * sizes.tvc_loads):  # as do the angular accelerations of the engines
         for j in range(n):
-            bending, turn = record_at(work.tank, j).bending_accel_mps2, unknown[n + k]
-            bend_y, bend_z = _bending_acceleration(sizes, j, properties, record_at(system.swing, k).planar_accel_mps2)
+            bending, turn = work.tank[j].bending_accel_mps2, unknown[n + k]
+            bend_y, bend_z = _bending_acceleration(sizes, j, properties, system.swing[k].planar_accel_mps2)
             bending[1] += turn * bend_y
             bending[2] += turn * bend_z
 
@@ -233,24 +233,24 @@ def _add_loads(
     and m_k h_ki s_i in the row of tank k, where h_ki is the acceleration of its hinge along the rod per unit of s_i.
     """
     n, system, modes = sizes.pendulums, work.system, work.modes
-    matrix, unknown = bare_pointer(system.matrix), bare_pointer(system.unknown)
-    accelerations = bare_pointer(modes.planar.accel_mps2), bare_pointer(modes.spatial.accel_mps2)
+    matrix, unknown = system.matrix, system.unknown
+    accelerations = modes.planar.accel_mps2, modes.spatial.accel_mps2
     for i in range(2 * sizes.tvc_loads):
-        swing, row = record_at(system.swing, i), n + i
+        swing, row = system.swing[i], n + i
         rigid, turning = vec.vector_at(swing.accel_mps2, 0), vec.vector_at(swing.alpha_radps2, 0)
-        planar, spatial = bare_pointer(swing.planar_accel_mps2), bare_pointer(swing.spatial_accel_mps2)
+        planar, spatial = swing.planar_accel_mps2, swing.spatial_accel_mps2
         for k in range(n):
-            u, tank = vec.vector_at(y, first + slosh.N_PENDULUM * k), record_at(work.tank, k)
+            u, tank = vec.vector_at(y, first + slosh.N_PENDULUM * k), work.tank[k]
             arm = vec.vector_at(tank.arm_m, 0)
             bend_y, bend_z = _bending_acceleration(sizes, k, properties, planar)
             along = vec.dot(u, rigid) + vec.dot(arm, turning) + u[1] * bend_y + u[2] * bend_z
             if sizes.spatial_modes > 0:
-                shapes = bare_pointer(tank.shapes_along_rod)
+                shapes = tank.shapes_along_rod
                 along += spatial_along_rod(sizes, properties, sch.tank_place(k), u, spatial, shapes)
             matrix[entry(k, row)] = slosh.bob_mass(properties, k) * along
             matrix[entry(row, k)] = -along
         for j in range(2 * sizes.tvc_loads):
-            about = moment_about_hinge(sizes, record_at(system.swing, j), rigid, turning, planar, spatial)
+            about = moment_about_hinge(sizes, system.swing[j], rigid, turning, planar, spatial)
             matrix[entry(n + j, row)] = -about
         matrix[entry(row, row)] += swing.inertia_kgm2
         about = moment_about_hinge(sizes, swing, accel, alpha, accelerations[0], accelerations[1])
@@ -263,7 +263,7 @@ def eliminate(n: int, system: System) -> None:
 
     No pivoting is needed, because the symmetric form of the matrix is quasi-definite, so that no pivot is zero.
     """
-    matrix, unknown = bare_pointer(system.matrix), bare_pointer(system.unknown)
+    matrix, unknown = system.matrix, system.unknown
     if n == 2:
         a, b, c, d = matrix[entry(0, 0)], matrix[entry(0, 1)], matrix[entry(1, 0)], matrix[entry(1, 1)]
         e, f = unknown[0], unknown[1]

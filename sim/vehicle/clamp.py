@@ -7,7 +7,7 @@ together.
 
 from __future__ import annotations
 
-from maxq.control.kernel.jit import bare_pointer, kernel, rare_routine, record_at
+from maxq.control.kernel.jit import kernel, rare_routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import (
     Matrix,
@@ -125,9 +125,9 @@ def _clamp_spatial(
     apply_spatial_load(sizes, properties, place, load, modes.force_N)
 
     free_spatial_accelerations(sizes, properties, modes)
-    accel_mps2 = bare_pointer(modes.accel_mps2)
+    accel_mps2 = modes.accel_mps2
     for k in range(sizes.pendulums):
-        u, shapes = vector_at(y, pendulum_index(sizes, k)), bare_pointer(record_at(work.tank, k).shapes_along_rod)
+        u, shapes = vector_at(y, pendulum_index(sizes, k)), work.tank[k].shapes_along_rod
         spatial_along_rod(sizes, properties, sch.tank_place(k), u, accel_mps2, shapes)
         tension = -bob_mass(properties, k) * dot(pad, u)
         add_tension_to_spatial(sizes, properties, shapes, tension, accel_mps2)
@@ -171,7 +171,7 @@ def _carried(
     about_cg = cross(offset, carried)
     for k in range(sizes.pendulums):
         pull = _hanging(k, pad, properties, y, pendulum_index(sizes, k))
-        tank = record_at(work.tank, k)
+        tank = work.tank[k]
         carried = add(carried, scaled(-1.0, pull))
         hinge = add(vector_at(tank.hinge_m, 0), (0.0, tank.shift_m[1], tank.shift_m[2]))
         about_cg = add(about_cg, scaled(-1.0, cross(hinge, pull)))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from maxq.control.kernel.jit import kernel, rare_routine, record_at, routine, routine_beside
+from maxq.control.kernel.jit import kernel, rare_routine, routine, routine_beside
 from maxq.control.kernel.limits import MAX_ENGINES, MAX_FEED_LINES, MAX_SENSORS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into
@@ -374,17 +374,7 @@ def _derivative(
     for tank in range(sizes.pendulums):
         first = pendulums + states.N_PENDULUM * tank
         damper_force, damper_moment = pendulum_loads(
-            vehicle.slosh,
-            sizes,
-            tank,
-            rate,
-            axial_load,
-            balanced.offset,
-            properties,
-            y,
-            first,
-            modes,
-            record_at(work.tank, tank),
+            vehicle.slosh, sizes, tank, rate, axial_load, balanced.offset, properties, y, first, modes, work.tank[tank]
         )
         force, moment = add(force, damper_force), add(moment, damper_moment)
     if vehicle.slosh.exchange == 1:
@@ -452,7 +442,7 @@ def _derivative(
         spatial_derivative(sizes, spatial, dy, modes.spatial)
     for tank in range(sizes.pendulums):
         first = pendulums + states.N_PENDULUM * tank
-        own = record_at(work.tank, tank)
+        own = work.tank[tank]
         pendulum_derivative(vehicle.slosh, sizes, tank, rate, specific_force, alpha, properties, y, first, dy, own)
         aux.tension_N[tank] = work.system.unknown[tank]
     if sizes.tvc_loads > 0:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from maxq.control.kernel.grids import N_COLUMNS, GridRefs, interpolate_grid
-from maxq.control.kernel.jit import bare_pointer, kernel, routine
+from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.vectors import Vector
@@ -83,7 +83,7 @@ def table_coefficients(
         _angle(tables.axis[j, 0], mach, flow, lateral, first_roll),
         _angle(tables.axis[j, 1], mach, flow, lateral, first_roll),
         _angle(tables.axis[j, 2], mach, flow, lateral, first_roll),
-        bare_pointer(work.grid_row),
+        work.grid_row,
         0,
     )
     for role in range(N_ROLES):

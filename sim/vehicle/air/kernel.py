@@ -14,7 +14,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from maxq.control.kernel.jit import bare_pointer, kernel, record_at
+from maxq.control.kernel.jit import kernel
 from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import TableRef, find_interval, interpolate_into, look_up
@@ -115,7 +115,7 @@ def moment_reference(aero: Aero, sizes: Counts, pool: Array, clock_s: float, pro
 def coefficients(aero: Aero, pool: Array, mach: float, mach_row: Array) -> None:
     """Interpolate the Mach table into `mach_row`."""
     k = find_interval(pool, aero.table, mach)
-    interpolate_into(pool, aero.table, k, mach, bare_pointer(mach_row), 0)
+    interpolate_into(pool, aero.table, k, mach, mach_row, 0)
 
 
 @kernel
@@ -123,7 +123,7 @@ def body_loads(
     aero: Aero, density: float, flow: Vector, rate: Vector, burning: int, cg: Vector, work: AeroWork
 ) -> tuple[Vector, Vector]:
     """Return the force and moment about the core CG in B of axial force, drag, cross-flow and rate damping."""
-    (u, v, w), row = flow, bare_pointer(work.mach_row)
+    (u, v, w), row = flow, work.mach_row
     half = 0.5 * density * aero.area_m2
     speed = math.sqrt(u * u + v * v + w * w)
     v_cross, w_cross = v, w
@@ -162,7 +162,7 @@ def surface_loads(
 
     The forces are also added to the generalised forces of the modes.
     """
-    whole, row = 0.5 * density * aero.area_m2 * aero.force_factor, bare_pointer(work.mach_row)
+    whole, row = 0.5 * density * aero.area_m2 * aero.force_factor, work.mach_row
     x_cg, y_cg, z_cg = properties[sch.CORE_CG], properties[sch.CORE_CG + 1], properties[sch.CORE_CG + 2]
     fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0
     for s in range(sizes.surfaces - sizes.tables):
@@ -183,7 +183,7 @@ def surface_loads(
             mx, my, mz = mx + moved[0], my + moved[1], mz + moved[2]
         fy += force_y
         fz += force_z
-        put_surface(record_at(work.surface, s), force_y, force_z, cn, cn_x)
+        put_surface(work.surface[s], force_y, force_z, cn, cn_x)
         mx += (aero.place_y_m[s] - y_cg) * force_z - (aero.place_z_m[s] - z_cg) * force_y
         my += half * w_local * (cn * x_cg - cn_x)
         mz -= half * v_local * (cn * x_cg - cn_x)
@@ -243,7 +243,7 @@ def table_loads(
     total_force, total_moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for j in range(sizes.tables):
         power = aero.tables.power[j]
-        kept = record_at(work.surface, sizes.surfaces - sizes.tables + j)
+        kept = work.surface[sizes.surfaces - sizes.tables + j]
         kept.force_y_N, kept.force_z_N = 0.0, 0.0
         if power == ALWAYS or (power == POWER_ON) == (burning == 1):
             s = sizes.surfaces - sizes.tables + j

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from maxq.control.kernel.jit import formula, kernel, record_at
+from maxq.control.kernel.jit import formula, kernel
 from maxq.control.kernel.limits import MAX_ENGINES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import find_interval, interpolate_into
@@ -339,7 +339,7 @@ def _with_pendulum(
     slosh: Slosh, sizes: Counts, first_m: float, tank: int, turned: Vector, at: Evaluation, work: Work, pull: Pull
 ) -> Pull:
     """Return the load on a booster with that of a pendulum: the rod's tension at its hinge, the damper at the bob."""
-    own, first = record_at(work.tank, tank), pendulum_index(sizes, 0) + N_PENDULUM * tank
+    own, first = work.tank[tank], pendulum_index(sizes, 0) + N_PENDULUM * tank
     u, tension = vector_at(at.y, first), work.system.unknown[tank]
     length, hinge = pendulum_length(at.properties, tank), at.properties[tank_column(tank) + TANK_HINGE]
     place = _on_booster(first_m, (hinge, slosh.place_y_m[tank], slosh.place_z_m[tank]), turned)

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, NamedTuple
 
-from maxq.control.kernel.jit import kernel, record_at, routine
+from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import PitchYaw
 from maxq.control.kernel.tables import find_interval, interpolate_into
@@ -339,7 +339,7 @@ def _of_pendulum(
     The rod acts at its hinge (laterally) and at the bottom of the tank (axially), and the damper's force acts at the
     bob.
     """
-    own, y = record_at(work.tank, tank), at.y
+    own, y = work.tank[tank], at.y
     first = pendulum_index(sizes, 0) + N_PENDULUM * tank
     u, pull = vector_at(y, first), work.system.unknown[tank]
     hinge = at.properties[tank_column(tank) + TANK_HINGE]

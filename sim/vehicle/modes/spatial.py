@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from maxq.control.kernel.jit import bare_pointer, kernel, routine
+from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_MODES
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import Vector
@@ -94,7 +94,7 @@ def spatial_derivative(sizes: Counts, first: int, dy: Array, modes: SpatialMotio
 @kernel
 def spatial_motion(sizes: Counts, properties: Array, place: int, quantity: Array) -> Load:
     """Return the motion of a place: its shapes times a modal quantity."""
-    return _spatial_motion(sizes, properties, place, bare_pointer(quantity))
+    return _spatial_motion(sizes, properties, place, quantity)
 
 
 @routine
@@ -127,7 +127,7 @@ def roll_defect(sizes: Counts, properties: Array, place: int, quantity: Array, t
 @kernel
 def apply_spatial_load(sizes: Counts, properties: Array, place: int, load: Load, quantity: Array) -> None:
     """Add the generalised forces of a load at a place to a modal quantity."""
-    _apply_spatial_load(sizes, properties, place, load, bare_pointer(quantity))
+    _apply_spatial_load(sizes, properties, place, load, quantity)
 
 
 @routine

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
-from maxq.control.kernel.jit import kernel, record_at, routine
+from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_PENDULUMS
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.rows import DEG
@@ -259,10 +259,10 @@ def exchange_loads(
     share = properties[sch.schedule_width(sizes) + sch.INVERSE_TOTAL_MASS]
     for tank in range(sizes.pendulums):
         mass = bob_mass(properties, tank)
-        drift = add(drift, scaled(share * mass, vector_at(record_at(tanks, tank).bob_velocity_mps, 0)))
+        drift = add(drift, scaled(share * mass, vector_at(tanks[tank].bob_velocity_mps, 0)))
     force, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for tank in range(sizes.pendulums):
-        own, mass = record_at(tanks, tank), bob_mass(properties, tank)
+        own, mass = tanks[tank], bob_mass(properties, tank)
         flow = -properties[sch.tank_column(tank) + sch.TANK_MASS_RATE]  # from bob to core
         if flow == 0.0 or mass <= 0.0:
             continue

@@ -21,7 +21,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from maxq.control.kernel.jit import kernel, record_at, routine
+from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_PENDULUMS, MAX_TVC_LOADS
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import DEG, PitchYaw
@@ -278,7 +278,7 @@ def prepare_loads(
             if moves == 0.0:  # not gimballed in this plane
                 along, lever, own, moment_Nm = (0.0, 0.0, 0.0), 1.0, 0.0, 0.0
             out.hinge_moment_Nm[unknown] = moment_Nm
-            swing, turn = record_at(system.swing, unknown), cross(engine.axis, along)
+            swing, turn = system.swing[unknown], cross(engine.axis, along)
             force = scaled(unbalance, along)
             moment = add(scaled(unbalance, cross(cg, along)), scaled(-inertia, turn))
             set_vector(swing.force_N, 0, force)
@@ -309,7 +309,7 @@ def _modal_forces(
 def load_responses(sizes: Counts, inverse_mass: float, inverse: Symmetric, properties: Array, system: System) -> None:
     """Set the accelerations of body and modes per unit of each unknown, without pendulums."""
     for k in range(2 * sizes.tvc_loads):
-        swing = record_at(system.swing, k)
+        swing = system.swing[k]
         set_vector(swing.accel_mps2, 0, scaled(inverse_mass, vector_at(swing.force_N, 0)))
         set_vector(swing.alpha_radps2, 0, symmetric_times(inverse, vector_at(swing.moment_Nm, 0)))
         modal_accelerations(sizes, properties, swing.planar_force_N, swing.planar_accel_mps2)

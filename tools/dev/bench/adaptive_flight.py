@@ -29,7 +29,7 @@ def rates(P: Array, pool: Array, state: Array, y: Array, elapsed_s: float, dy: A
     """Write the derivative at `elapsed_s` after the flight's present instant into `dy`."""
     p, memory = P[0], state[0]
     pool, y, dy = bare_pointer(pool), bare_pointer(y), bare_pointer(dy)
-    props, work, aux = bare_pointer(scratch[0].properties), scratch[0].work, scratch[0].aux
+    props, work, aux = scratch[0].properties, scratch[0].work, scratch[0].aux
     now = memory.clock.now_ns
     read_schedule(p, pool, memory, now, elapsed_s, props)
     evaluate(p, pool, memory, now, elapsed_s, Evaluation(props, y, dy, aux), work)
@@ -39,7 +39,7 @@ def rates(P: Array, pool: Array, state: Array, y: Array, elapsed_s: float, dy: A
 def next_instant(P: Array, pool: Array, state: Array, y: Array, scratch: Records) -> int:
     """Process all events that are due now. Return the time until the next event, ns."""
     p, memory = P[0], state[0]
-    pool, y, props = bare_pointer(pool), bare_pointer(y), bare_pointer(scratch[0].properties)
+    pool, y, props = bare_pointer(pool), bare_pointer(y), scratch[0].properties
     process_due_events(p, pool, memory, y, scratch[0].aux, props)
     return step_length(p, pool, memory, NEVER)
 
