@@ -30,12 +30,14 @@ from urllib.parse import urlsplit
 
 from maxq.control.external import ABI, FswInputs, FswOutputs
 from maxq.control.kernel.records import dtype_of
+from maxq.sim.run.protection import FloatingPoint, GuardedMemory, Protection, own_floating_point
 from maxq.sim.scenario.flight_code import SETTINGS_BYTES, CodeFile
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
 _FUNCTIONS = ("maxq_fsw_abi", "maxq_fsw_bytes", "maxq_fsw_init", "maxq_fsw_step", "maxq_fsw_close")
 _ALIGNMENT = 64
 _MOST_BYTES = 1 << 30  # largest size of an instance
+_BEYOND_INT = 1 << 63
 StepFunction = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
 
@@ -75,12 +77,24 @@ class Instance(ABC):
     """A running instance of flight code.
 
     `step` is the address of the C function that the flight calls, and `address` that of its first argument. `error` is
-    the message of the first error, or empty.
+    the message of the first error, or empty. `floating_point` is the environment of the code after its start.
     """
 
     step: int
     address = 0
     error = ""
+    floating_point: FloatingPoint
+
+    def connect(self, call: Any, structs: tuple[int, int], watched: tuple[int, int] = (0, 0)) -> None:
+        """Write into the ProtectedCall `call` how the code is called.
+
+        `structs` are the addresses of the simulator's inputs and outputs. `watched` is the address and the size of
+        memory that the code must not change; a size of 0 stands for none.
+        """
+        self._protection = Protection(self.floating_point)
+        self._protection.bind(call, self.step, self.address, *structs)
+        if watched[1] > 0:
+            self._protection.watch(call, *watched)
 
     @abstractmethod
     def close(self) -> None:
@@ -112,10 +126,11 @@ class _Library(Instance):
         if not 0 <= size <= _MOST_BYTES:
             raise Unusable(f"wants {size} bytes for an instance, allowed are 0 to {_MOST_BYTES}")
         self._library = library
-        self._memory = ctypes.create_string_buffer(size + _ALIGNMENT)
-        start = ctypes.addressof(self._memory)
-        self.address = start + -start % _ALIGNMENT
-        refused = library.maxq_fsw_init(ctypes.c_void_p(self.address), ctypes.byref(setup))
+        self._memory = GuardedMemory(-(-size // _ALIGNMENT) * _ALIGNMENT)
+        self._setup = GuardedMemory(ctypes.sizeof(Setup))
+        self.address = self._memory.address
+        ctypes.memmove(self._setup.address, ctypes.byref(setup), ctypes.sizeof(Setup))
+        refused = library.maxq_fsw_init(ctypes.c_void_p(self.address), ctypes.c_void_p(self._setup.address))
         if refused:
             raise Unusable(f"maxq_fsw_init returned {refused}")
         self.step = ctypes.cast(library.maxq_fsw_step, ctypes.c_void_p).value or 0
@@ -183,8 +198,10 @@ class _PythonClass(_InPython):
             room = getattr(outputs, name)
             if isinstance(room, ctypes.Array):
                 room[:] = [float(item) for item in value]
-            else:
-                setattr(outputs, name, value)
+                continue
+            if isinstance(value, int) and not -_BEYOND_INT <= value < _BEYOND_INT:  # ctypes would take it modulo 2**64
+                raise ValueError(f"{name} is an integer beyond 64 bits")
+            setattr(outputs, name, value)
         return 0
 
     def close(self) -> None:
@@ -235,7 +252,7 @@ class _Remote(_InPython):
 
     def __init__(self, address: str, timeout_s: float, setup: Setup) -> None:
         super().__init__()
-        parts, self._number, self._timeout_s = urlsplit(address), 0, timeout_s
+        parts, self._number, self._timeout_s, self._address = urlsplit(address), 0, timeout_s, address
         self._stream = parts.scheme == "tcp"
         place = (parts.hostname or "", parts.port or 0)
         try:
@@ -259,7 +276,9 @@ class _Remote(_InPython):
             self.error = self._said(error)
             return 1
         ctypes.memmove(ctypes.addressof(outputs), content, len(content))
-        return code
+        if code:
+            self.error = f"its step returned {code}"
+        return int(code != 0)
 
     def close(self) -> None:
         with contextlib.suppress(OSError):
@@ -267,9 +286,12 @@ class _Remote(_InPython):
             self._socket.close()
 
     def _said(self, error: OSError) -> str:
+        said = error.strerror.lower() if error.strerror else str(error)
         if isinstance(error, TimeoutError):
-            return f"no answer within {self._timeout_s:g} s"
-        return error.strerror.lower() if error.strerror else str(error)
+            said = f"no answer within {self._timeout_s:g} s; its process may be stopped, or too slow"
+        elif isinstance(error, ConnectionError) and self._number > 1:
+            said = "the connection was closed; its process has ended"
+        return f"{self._address}: {said}"
 
     def _ask(self, kind: int, content: bytes, expected: int) -> tuple[int, bytes]:
         """Send a message, and return the code of its answer and the content, of `expected` bytes. Raises OSError."""
@@ -300,7 +322,7 @@ class _Remote(_InPython):
             if not self._stream:
                 return part
             if not part:
-                raise ConnectionError("the connection was closed")
+                raise ConnectionError
             out += part
         return out
 
@@ -318,6 +340,23 @@ def described(error: BaseException) -> str:
 
 def started(computer: ComputerSection, setup: Setup) -> Instance:
     """Return a running instance of the flight code of `computer`. Raises Unusable if it cannot be started."""
+    with own_floating_point() as of_code:
+        instance = _started(computer, setup)
+    instance.floating_point = of_code
+    return instance
+
+
+def ended(instance: Instance) -> str:
+    """Close an instance, and return the message of an error, or an empty string."""
+    try:
+        with own_floating_point():
+            instance.close()
+    except BaseException as error:  # of the code, whose flight has ended
+        return described(error)
+    return ""
+
+
+def _started(computer: ComputerSection, setup: Setup) -> Instance:
     if computer.library is not None:
         return _Library(computer.library, setup)
     if computer.python is not None:
