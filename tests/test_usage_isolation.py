@@ -16,8 +16,10 @@ import pytest
 from flight_code import compiled, flies, needs_compiler
 
 from maxq import Flight
+from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.fly import fly
 from maxq.sim.run.instances import HEADER
+from maxq.sim.run.sandbox import sandbox_problem
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 
@@ -27,11 +29,14 @@ needs_linux = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc, a
 CODE = """
 #define _GNU_SOURCE
 #include "maxq_fsw.h"
+#include <fcntl.h>
 #include <fenv.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 static void scale(double *first, int count) { for (int i = 0; i < count; i++) first[i] *= 1.01; }
@@ -44,6 +49,15 @@ static void scale_shared(void)
         if (strstr(line, "rw-s") && sscanf(line, "%lx-%lx", &from, &to) == 2)
             scale((double *)from, (int)((to - from) / 8));
     fclose(maps);
+}
+static int tried(void)
+{
+    int fd = open("written", O_WRONLY | O_CREAT, 0600), memory = open("/proc/self/mem", O_RDWR);
+    int made = fd >= 0, child = fork();
+    if (child == 0) _exit(0);
+    made |= (memory >= 0) << 1 | (child > 0) << 2 | (socket(AF_INET, SOCK_STREAM, 0) >= 0) << 3;
+    made |= (kill(getppid(), 0) == 0) << 4 | (mkdir("made", 0700) == 0) << 5 | (setsid() >= 0) << 6;
+    return made | (open("/etc/passwd", O_RDONLY) >= 0) << 7;
 }
 static void forked(void)
 {
@@ -58,7 +72,7 @@ int32_t maxq_fsw_abi(void) { return MAXQ_FSW_ABI; }
 int64_t maxq_fsw_bytes(void) { return 200; }
 int32_t maxq_fsw_init(void *self, const maxq_fsw_setup *setup)
 {
-    (void)self, (void)setup, (void)forked, (void)scale_shared;
+    (void)self, (void)setup, (void)forked, (void)scale_shared, (void)tried;
     INIT;
     return 0;
 }
@@ -331,3 +345,57 @@ def test_a_peer_is_named_and_its_codes_are_not_cut_to_32_bits() -> None:
     assert coded.failures[0].endswith("its step returned 4294967296")
     with peer((1 << 32).to_bytes(8, sys.byteorder)) as address, pytest.raises(Exception, match="code 4294967296"):
         flown(*flies(address=address))
+
+
+needs_sandbox = pytest.mark.skipif(bool(sandbox_problem()), reason=sandbox_problem() or "there is a sandbox")
+SANDBOX = "vehicle.computer.sandbox=true"
+
+
+@needs_compiler
+@needs_sandbox
+def test_code_in_a_sandbox_can_only_compute_and_read() -> None:
+    """Bits of monitor_2: file, own memory, process, socket, signal, folder, new group, and reading of a file."""
+    code = attacking(STEP="out->monitor[1] = tried(); out->gimbal_rad[0] += 1e-3")
+    free, confined = flown(*code, "log.fast_hz=100"), flown(*code, "log.fast_hz=100", SANDBOX)
+    assert (max(free["monitor_2"]), max(confined["monitor_2"])) == (191, 128)
+    assert confined.outcome == "duration"
+    assert confined.state_hash == free.state_hash
+    assert confined.state_hash != flown(*attacking()).state_hash
+
+
+@needs_compiler
+@needs_sandbox
+@pytest.mark.parametrize(
+    ("attack", "said"),
+    [
+        ("*(volatile int *)0 = 1", "its process in the sandbox ended: SIGSEGV"),
+        ("for (;;) {}", "did not return within 1 s in its step"),
+        ("return 7", "its step returned 7"),
+        ("scale_shared(); return 8", "its step returned 8"),
+    ],
+)
+def test_code_that_fails_in_a_sandbox_ends_its_flight(attack: str, said: str) -> None:
+    flight = flown(*attacking(STEP=attack), SANDBOX)
+    assert flight.failures == (f"flight software at 0.510 s: {said}",)
+    assert flight.state_hash == flown(*attacking(STEP="return 7")).state_hash
+
+
+@needs_sandbox
+def test_python_code_in_a_sandbox_writes_no_file() -> None:
+    Path("own.py").write_text(
+        "import math\n"
+        "class Autopilot:\n"
+        "    def __init__(self, setup): pass\n"
+        "    def step(self, inputs): return {'monitor': [open('written', 'w').write('x')] * 8}\n"
+    )
+    flight = flown(*flies(python="own.py:Autopilot"), SANDBOX)
+    assert "PermissionError: [Errno 1] Operation not permitted: 'written' (own.py, line 4)" in flight.failures[0]
+    assert not Path("written").exists()
+
+
+@pytest.mark.parametrize("other", ["guard=false", "address=tcp://127.0.0.1:1"])
+def test_a_sandbox_without_a_guarded_process_is_rejected(other: str) -> None:
+    Path("own.py").write_text("class Autopilot: ...\n")
+    code = {} if "address" in other else {"python": "own.py:Autopilot"}
+    with pytest.raises(ScenarioError, match="sandbox = true: is for a guarded library or Python class only"):
+        flown(*flies(**code), f"vehicle.computer.{other}", SANDBOX)

@@ -32,11 +32,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.external import BAD_THRUSTER, CRASHED, NOT_FINITE, OVERWROTE, STUCK
+from maxq.control.kernel.records import dtype_of
 from maxq.sim.flight.loop import advance
+from maxq.sim.flight.parameters import Memory
 from maxq.sim.input.errors import printable
 from maxq.sim.run.hashed_reads import only_hashed_reads
 from maxq.sim.run.held_code import CodeWindows, HeldCode
-from maxq.sim.run.instances import Instance, Setup, Unusable, ended, started
+from maxq.sim.run.instances import Instance, Setup, Unusable, end_name, ended, started
 from maxq.sim.run.protection import (
     GUARD,
     OVERWROTE_TEXT,
@@ -58,6 +60,8 @@ Arrays = tuple[NDArray[Any], ...]
 """The arguments of `loop.advance` in order, except `until_ns`."""
 MEMORY = 2  # index of the flight's memory in Arrays
 
+_WATCHED_BYTES = int((dtype_of(Memory).fields or {})["sections"][1])
+"""The part of the flight's memory that is compared around calls; most of the rest are extremes of loads."""
 STARTING, ENDING = 2, 3  # values of `inside` while an instance is made and closed
 STOPPED = 1  # value of `code` if a process that does not return is stopped
 _SMALLEST = 1 << 24  # least shared memory of a worker, bytes; the unused part takes no memory
@@ -222,12 +226,9 @@ def complaint(computer: ComputerSection, said: str, fault: int, code: int, insid
 
 def _end_text(code: int, during: str) -> str:
     """Return the description of the end of a process from its exit code or, if negative, its signal."""
+    name = end_name(code)
     if code >= 0:
-        return f"crashed {during}: its process ended with exit code {code}"
-    try:
-        name = signal.Signals(-code).name
-    except ValueError:
-        name = f"signal {-code}"
+        return f"crashed {during}: its process ended with {name}"
     if name in ("SIGSEGV", "SIGBUS"):
         return f"crashed {during}: {name}, access to memory that is not its own"
     return f"its process was killed {during}: {name}" if name in ("SIGKILL", "SIGTERM") else f"crashed {during}: {name}"
@@ -252,7 +253,7 @@ def worker_for(computer: ComputerSection, arrays: Arrays) -> Worker:
 
 def _code(computer: ComputerSection) -> tuple[Any, ...]:
     """Return the keys of the computer that must be equal for a worker; the others are set for each flight."""
-    return computer.library, computer.python, computer.data, computer.address, computer.timeout_s
+    return computer.library, computer.python, computer.data, computer.address, computer.timeout_s, computer.sandbox
 
 
 def _reap() -> None:
@@ -302,11 +303,14 @@ def _places(sizes: Sequence[int]) -> list[int]:
 
 
 def _placed(room: mmap.mmap, kinds: Sequence[np.dtype[Any]], shapes: Sequence[tuple[int, ...]]) -> Arrays:
+    """Return arrays in shared memory: the parameters first, and the state vector directly before the memory."""
     counts = [int(np.prod(shape)) for shape in shapes]
-    starts = _places([kind.itemsize * count for kind, count in zip(kinds, counts, strict=True)])
+    sizes = [kind.itemsize * count for kind, count in zip(kinds, counts, strict=True)]
+    order = [*range(MEMORY), MEMORY + 1, MEMORY, *range(MEMORY + 2, len(sizes))]
+    starts = dict(zip(order, _places([sizes[k] for k in order]), strict=False))
     return tuple(
-        np.frombuffer(room, kind, count, GUARD + start).reshape(shape)
-        for kind, count, start, shape in zip(kinds, counts, starts, shapes, strict=False)
+        np.frombuffer(room, kind, count, GUARD + starts[k]).reshape(shape)
+        for k, (kind, count, shape) in enumerate(zip(kinds, counts, shapes, strict=True))
     )
 
 
@@ -326,6 +330,8 @@ class _Flying:
         code = 1
         try:
             _end_with(parent_lives)
+            if hasattr(mmap, "MADV_DONTFORK"):  # processes of the code do not share the memory of the flight
+                self._room.madvise(mmap.MADV_DONTFORK)
             make_inaccessible(self._first)
             make_inaccessible(self._first + len(self._room) - GUARD)
             for number in _IGNORED:
@@ -363,7 +369,7 @@ class _Flying:
             only_hashed_reads(self._computer.hashed_files.values())
         try:
             memory, y = self._arrays[MEMORY], self._arrays[MEMORY + 1]
-            watched = memory.ctypes.data, y.ctypes.data + y.nbytes - memory.ctypes.data
+            watched = y.ctypes.data, memory.ctypes.data + _WATCHED_BYTES - y.ctypes.data
             self._instance = instance_for(self._computer, Setup.from_buffer_copy(setup), held, state, watched)
         except Unusable as error:
             return False, str(error) or type(error).__name__

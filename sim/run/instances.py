@@ -7,6 +7,7 @@ For all kinds of code, the flight calls a C function with the records of control
 | `library` | `maxq_fsw_step` of the library | return value |
 | `python` | ctypes callback that calls the method `step` | exception |
 | `address` | ctypes callback that sends a message and receives the answer | broken connection, timeout |
+| `sandbox` | as for `address`, to a process in a sandbox | the code's own, or the end of the process |
 """
 
 from __future__ import annotations
@@ -16,21 +17,23 @@ import contextlib
 import ctypes
 import importlib.util
 import os
+import signal
 import socket
 import struct
 import sys
-import tempfile
 import time
 from abc import ABC, abstractmethod
 from functools import lru_cache
+from multiprocessing.connection import Pipe
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NoReturn
 from urllib.parse import urlsplit
 
 from maxq.control.external import ABI, FswInputs, FswOutputs
 from maxq.control.kernel.records import dtype_of
 from maxq.sim.run.protection import FloatingPoint, GuardedMemory, Protection, own_floating_point
+from maxq.sim.run.sandbox import confine, sandbox_problem
 from maxq.sim.scenario.flight_code import SETTINGS_BYTES, CodeFile
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
@@ -220,18 +223,17 @@ def module_of(file: str, sha256: str) -> ModuleType:
         raise Unusable("is no Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    beside, elsewhere = str(Path(file).parent), sys.pycache_prefix
+    beside, elsewhere, writes_not = str(Path(file).parent), sys.pycache_prefix, sys.dont_write_bytecode
     sys.path.insert(0, beside)
     try:
-        with tempfile.TemporaryDirectory() as nothing:
-            sys.pycache_prefix = nothing
-            spec.loader.exec_module(module)
+        sys.pycache_prefix, sys.dont_write_bytecode = os.devnull, True
+        spec.loader.exec_module(module)
     except BaseException as error:
         del sys.modules[spec.name]
         raise Unusable(described(error)) from None
     finally:
         sys.path.remove(beside)
-        sys.pycache_prefix = elsewhere
+        sys.pycache_prefix, sys.dont_write_bytecode = elsewhere, writes_not
     return module
 
 
@@ -327,6 +329,89 @@ class _Remote(_InPython):
         return out
 
 
+class _Sandboxed(_InPython):
+    """Flight code in a process of its own in a sandbox, which shares no memory with the flight."""
+
+    def __init__(self, computer: ComputerSection, setup: Setup) -> None:
+        super().__init__()
+        if problem := sandbox_problem():
+            raise Unusable(problem)
+        self._line, theirs = Pipe()
+        self._pid = os.fork()
+        if self._pid == 0:
+            _serve_sandbox(theirs, computer)
+        theirs.close()
+        _, _, error = self._ask(bytes(setup))
+        if error:
+            raise Unusable(error)
+
+    def answer(self, inputs: Any, outputs: Any) -> int:
+        code, content, self.error = self._ask(bytes(inputs))
+        ctypes.memmove(ctypes.addressof(outputs), content, len(content))
+        return code
+
+    def close(self) -> None:
+        _, _, error = self._ask(b"")
+        if error:
+            raise Unusable(error)
+
+    def _ask(self, message: bytes) -> tuple[int, bytes, str]:
+        """Send a struct to the process, and return the code, the outputs and the error of its answer."""
+        try:
+            self._line.send_bytes(message)
+            answer = self._line.recv_bytes()
+        except (EOFError, OSError):
+            code = os.waitstatus_to_exitcode(os.waitpid(self._pid, 0)[1])
+            return 1, b"", f"its process in the sandbox ended: {end_name(code)}"
+        size = _CODE.size + ctypes.sizeof(Outputs)
+        return _CODE.unpack_from(answer)[0], answer[_CODE.size : size], answer[size:].decode(errors="replace")
+
+
+def _serve_sandbox(line: Any, computer: ComputerSection) -> NoReturn:
+    """Run flight code in this process, a fork, which answers the structs of a connection."""
+    try:
+        keep = line.fileno()
+        os.closerange(3, keep)
+        os.closerange(keep + 1, os.sysconf("SC_OPEN_MAX"))
+        sys.dont_write_bytecode = True
+        confine()
+        instance, error, taken, given = None, "", Outputs(), Inputs()
+        while message := line.recv_bytes():
+            code = 0
+            if instance is None:
+                try:
+                    instance = started(computer.model_copy(update={"sandbox": False}), Setup.from_buffer_copy(message))
+                    step = StepFunction(instance.step)
+                except Unusable as problem:
+                    code, error = 1, str(problem) or "cannot be started"
+            else:
+                ctypes.memmove(ctypes.addressof(given), message, len(message))
+                ctypes.memset(ctypes.addressof(taken), 0, ctypes.sizeof(taken))
+                taken.bytes = ctypes.sizeof(taken)
+                code = step(instance.address, ctypes.addressof(given), ctypes.addressof(taken))
+                error = (instance.error or f"its step returned {code}") if code else ""
+            line.send_bytes(_CODE.pack(code) + bytes(taken) + error.encode())
+        error = ended(instance) if instance is not None else ""
+        line.send_bytes(_CODE.pack(0) + bytes(taken) + error.encode())
+    except (EOFError, OSError):
+        pass
+    finally:
+        with contextlib.suppress(Exception):
+            sys.stdout.flush()
+            ctypes.CDLL(None).fflush(None)
+        os._exit(0)
+
+
+def end_name(code: int) -> str:
+    """Return the signal that ended a process, or its exit code, for a code of os.waitstatus_to_exitcode."""
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return signal.Signals(-code).name
+    except ValueError:
+        return f"signal {-code}"
+
+
 def described(error: BaseException) -> str:
     """Return a one-line description of an exception in flight code, with its file and line."""
     trace, at = error.__traceback__, ""
@@ -357,6 +442,8 @@ def ended(instance: Instance) -> str:
 
 
 def _started(computer: ComputerSection, setup: Setup) -> Instance:
+    if computer.sandbox:
+        return _Sandboxed(computer, setup)
     if computer.library is not None:
         return _Library(computer.library, setup)
     if computer.python is not None:
