@@ -60,7 +60,7 @@ Arrays = tuple[NDArray[Any], ...]
 """The arguments of `loop.advance` in order, except `until_ns`."""
 MEMORY = 2  # index of the flight's memory in Arrays
 
-_WATCHED_BYTES = int((dtype_of(Memory).fields or {})["sections"][1])
+_WATCHED_BYTES = int(dict(dtype_of(Memory).fields or {})["sections"][1])
 """The part of the flight's memory that is compared around calls; most of the rest are extremes of loads."""
 STARTING, ENDING = 2, 3  # values of `inside` while an instance is made and closed
 STOPPED = 1  # value of `code` if a process that does not return is stopped

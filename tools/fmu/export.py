@@ -151,7 +151,7 @@ def _indices(shape: tuple[int, ...]) -> list[str]:
 
 def write_fmu(loaded: LoadedScenario, path: Path, fmi: Version, builder: Any) -> int:
     """Write the unit for a scenario whose computer is behind a socket, and return the number of its variables."""
-    interface = {
+    interface: dict[str, Any] = {
         "sample_s": float(loaded.vehicle.computer.sample_s) if loaded.vehicle.computer is not None else 0.0,
         "duration_s": float(loaded.scenario.run.duration_s),
         "python": sys.executable,
