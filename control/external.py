@@ -17,9 +17,9 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload
 
-from maxq.control.kernel.jit import kernel
+from maxq.control.kernel.jit import entry, kernel
 from maxq.control.kernel.limits import MAX_SENSORS
-from maxq.control.kernel.records import Array, IntArray
+from maxq.control.kernel.records import Array, IntArray, Records
 
 HEADER = Path(__file__).with_name("maxq_fsw.h")
 ABI = 1
@@ -28,10 +28,11 @@ LARGEST_RAD = 1.0e6  # limit of a command's magnitude, far below overflow
 
 HEALTH_ACCELEROMETER, HEALTH_RATE_GYROS = 2, 4  # bits of `FswInputs.health`
 
-OWN_ERROR, NOT_FINITE, BAD_THRUSTER, CRASHED, STUCK = range(1, 6)
+OWN_ERROR, NOT_FINITE, BAD_THRUSTER, CRASHED, STUCK, OVERWROTE = range(1, 7)
 """The faults of flight code that end a flight.
 
-`OWN_ERROR` is a return value other than 0. `CRASHED` and `STUCK` are detected in sim/run/flight_software.py.
+`OWN_ERROR` is a return value other than 0, and `OVERWROTE` a change of the simulator's memory. `CRASHED` and `STUCK`
+are detected in sim/run/guard.py.
 """
 
 
@@ -97,10 +98,41 @@ class FswOutputs:
 
 
 @dataclass
+class ProtectedCall:
+    """The addresses with which flight code is called (sim/run/protection.py), so that it affects its outputs only.
+
+    - `step`, `instance`: the function and its instance.
+    - `given`, `given_from`, `given_bytes`: the inputs that the code receives, and those of the simulator.
+    - `taken`, `taken_to`, `taken_bytes`: the outputs that the code writes, and those of the simulator.
+    - `watched`, `kept`, `watched_bytes`: memory of the simulator that the code must not change, and room for a copy.
+    - `own_mode`, `code_mode`: floating-point environments (`fenv_t`) of the simulator and of the code.
+    - `copies`, `compares`, `get_mode`, `set_mode`: the functions memcpy, memcmp, fegetenv and fesetenv, or 0.
+    """
+
+    step: int
+    instance: int
+    given: int
+    given_from: int
+    given_bytes: int
+    taken: int
+    taken_to: int
+    taken_bytes: int
+    watched: int
+    kept: int
+    watched_bytes: int
+    own_mode: int
+    code_mode: int
+    copies: int
+    compares: int
+    get_mode: int
+    set_mode: int
+
+
+@dataclass
 class ExternalState:
     """The state of external flight code.
 
-    - `step`, `instance`: addresses of the function and of its instance.
+    - `call`: the addresses of the code and of its memory; `step` is 0 before its start.
     - `inside`: 1 while the function runs.
     - `calls`: number of calls.
     - `invalid_before`: number of invalid inputs up to the previous sample.
@@ -108,8 +140,7 @@ class ExternalState:
     - `code`: return value of the function, or the invalid output (its index, or the roll demand).
     """
 
-    step: int
-    instance: int
+    call: ProtectedCall
     inside: int
     calls: int
     invalid_before: int
@@ -119,36 +150,65 @@ class ExternalState:
     outputs: FswOutputs
 
 
-def _address_of(record: Any) -> int:
-    address: int = record.__array_interface__["data"][0]
-    return address
-
-
-def call_step(step: int, instance: int, inputs: FswInputs, outputs: FswOutputs) -> int:
-    """Call the C function at the address `step` for an instance, and return its result."""
-    function = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 3)(step)
-    code: int = function(instance, _address_of(inputs), _address_of(outputs))
+def call_c(function: int, first: int, second: int, third: int) -> int:
+    """Call the C function at an address with three integers or pointers, and return its result, an int."""
+    code: int = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 3)(int(function))(
+        int(first), int(second), int(third)
+    )
     return code
 
 
 @intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
-def _call(context: Any, step: Any, instance: Any, inputs: Any, outputs: Any) -> Any:
-    """Call a function with the addresses of records, without the overhead of ctypes (Numba intrinsic)."""
+def _call(context: Any, function: Any, first: Any, second: Any, third: Any) -> Any:
+    """Call a C function without the overhead of ctypes (Numba intrinsic)."""
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = ir.IntType(8).as_pointer()
-        kind = ir.FunctionType(ir.IntType(32), [pointer] * 3)
-        function = builder.inttoptr(arguments[0], kind.as_pointer())
-        records = [builder.bitcast(argument, pointer) for argument in arguments[2:]]
-        code = builder.call(function, [builder.inttoptr(arguments[1], pointer), *records])
+        kind = ir.FunctionType(ir.IntType(32), [ir.IntType(64)] * 3)
+        code = builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
         return builder.sext(code, ir.IntType(64))
 
-    return types.int64(step, instance, inputs, outputs), build
+    return types.int64(*[types.int64] * 4), build
 
 
-@overload(call_step, target="cpu")
-def _call_step(step, instance, inputs, outputs):  # type: ignore[no-untyped-def]  # Numba compares both signatures
-    return lambda step, instance, inputs, outputs: _call(step, instance, inputs, outputs)  # noqa: PLW0108  # as in jit.py
+@overload(call_c, target="cpu")
+def _call_c(function, first, second, third):  # type: ignore[no-untyped-def]  # Numba compares both signatures
+    return lambda function, first, second, third: _call(function, first, second, third)  # noqa: PLW0108  # as in jit.py
+
+
+@kernel
+def call_protected(call: ProtectedCall) -> tuple[int, int]:
+    """Call flight code on a copy of its inputs, in its own floating-point environment, and copy its outputs.
+
+    Returns the result of the code, and 1 if the code has changed watched memory, which is then restored. Without a
+    function, the result is 0.
+    """
+    if call.step == 0:
+        return 0, 0
+    copy, compare, get_mode, set_mode = call.copies, call.compares, call.get_mode, call.set_mode
+    own_mode, code_mode, watched, kept = call.own_mode, call.code_mode, call.watched, call.kept
+    taken, taken_to, taken_bytes, watched_bytes = call.taken, call.taken_to, call.taken_bytes, call.watched_bytes
+    call_c(copy, call.given, call.given_from, call.given_bytes)
+    call_c(copy, taken, taken_to, taken_bytes)
+    if watched_bytes > 0:
+        call_c(copy, kept, watched, watched_bytes)
+    if set_mode != 0:
+        call_c(set_mode, code_mode, 0, 0)
+    code = call_c(call.step, call.instance, call.given, taken)
+    if set_mode != 0:
+        call_c(get_mode, code_mode, 0, 0)
+        call_c(set_mode, own_mode, 0, 0)
+    changed = 0
+    if watched_bytes > 0 and call_c(compare, kept, watched, watched_bytes) != 0:
+        call_c(copy, watched, kept, watched_bytes)
+        changed = 1
+    call_c(copy, taken_to, taken, taken_bytes)
+    return code, changed
+
+
+@entry
+def call_once(calls: Records) -> tuple[int, int]:
+    """Call flight code from Python: `call_protected` of calls[0], a ProtectedCall."""
+    return call_protected(calls[0])
 
 
 @kernel
@@ -164,15 +224,17 @@ def clear_outputs(outputs: FswOutputs) -> None:
 @kernel
 def step_external(state: ExternalState) -> None:
     """Call the code on `state.inputs`. After a fault, record it and set all outputs to 0."""
-    inputs, outputs = state.inputs, state.outputs
+    outputs = state.outputs
     clear_outputs(outputs)
-    if state.fault != 0 or state.step == 0:
+    if state.fault != 0 or state.call.step == 0:
         return
     state.inside = 1
-    state.code = call_step(state.step, state.instance, inputs, outputs)
+    state.code, changed = call_protected(state.call)
     state.inside = 0
     state.calls += 1
-    if state.code != 0:
+    if changed != 0:
+        state.fault = OVERWROTE
+    elif state.code != 0:
         state.fault = OWN_ERROR
     elif not -1 <= outputs.roll_thruster <= 1:
         state.fault, state.code = BAD_THRUSTER, outputs.roll_thruster

@@ -59,6 +59,7 @@ def _parser() -> Parser:
     _add_flights(parser)
     _add_campaigns(parser)
     _add_files(parser)
+    _add_export(parser)
     parser.about_itself({"scenario": "scenarios (simrun SCENARIO)", "campaign": "campaigns (simrun CAMPAIGN)"})
     return parser
 
@@ -219,6 +220,16 @@ def _add_files(parser: Parser) -> None:
     upgrade.option("FILE", "design, case, suite, scenario or campaign (.toml)")
 
 
+def _add_export(parser: Parser) -> None:
+    examples = "  simrun export nominal --fmu rocket.fmu   needs the extra maxq[fmu]\n"
+    about = "Export the vehicle of a scenario as a unit for co-simulation (FMI)"
+    export = parser.command("export", about, examples, _export)
+    export.option("SCENARIO", "scenario file (.toml), or name of a built-in scenario")
+    export.option("--fmu FILE", "the unit (.fmu): sensors out, commands in", required=True)
+    export.option("--fmi 3.0|2.0", "version of FMI (default 3.0)")
+    export.overrides("the scenario")
+
+
 def _run(arguments: list[str]) -> int:
     return _parser().run(_in_present_form(arguments))
 
@@ -278,6 +289,13 @@ def _fly(**given: Any) -> int:
     from maxq.tools import simrun_fly  # noqa: PLC0415  # lazy
 
     return simrun_fly.execute(start_s, **given)
+
+
+def _export(**given: Any) -> int:
+    _refuse_result(given["scenario"])
+    from maxq.tools.fmu import export  # noqa: PLC0415  # lazy
+
+    return export.execute(**given)
 
 
 def _limit(**given: Any) -> int:

@@ -37,10 +37,10 @@ class ScenarioError(Exception):
         self.shown_value = "" if value is NOTHING else show_value(value)
 
     def __str__(self) -> str:
-        key = _printable(self.key, _LONGEST_FILE)
+        key = printable(self.key, _LONGEST_FILE)
         place = f"{key} = {self.shown_value}" if self.shown_value else key
-        problem, allowed = (_printable(text, _LONGEST_WORDS) for text in (self.problem, self.allowed))
-        line = ": ".join(part for part in (_printable(self.file, _LONGEST_FILE), place, problem) if part)
+        problem, allowed = (printable(text, _LONGEST_WORDS) for text in (self.problem, self.allowed))
+        line = ": ".join(part for part in (printable(self.file, _LONGEST_FILE), place, problem) if part)
         if allowed:
             line += f" Allowed: {allowed}" if line.endswith("?") else f"; allowed: {allowed}"
         if self.more:
@@ -65,10 +65,10 @@ def show_value(value: Any) -> str:
             text = repr(value)
         except ValueError:  # Python does not convert integers of thousands of digits
             text = "a number of thousands of digits"
-    return _printable(text, _LONGEST_VALUE)
+    return printable(text, _LONGEST_VALUE)
 
 
-def _printable(text: str, longest: int) -> str:
+def printable(text: str, longest: int = _LONGEST_WORDS) -> str:
     """Return `text` without line ends and other control characters, cut to a length."""
     text = text if text.isprintable() else text.encode("unicode_escape").decode()
     return text if len(text) <= longest else text[: longest - 4] + " ..."

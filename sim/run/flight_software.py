@@ -10,24 +10,22 @@ from __future__ import annotations
 import ctypes
 import logging
 import os
-import signal
 import weakref
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from maxq.control.external import ABI, BAD_THRUSTER, CRASHED, NOT_FINITE, STUCK
+from maxq.control.external import ABI
 from maxq.sim.input.errors import ScenarioError
-from maxq.sim.run.guard import MEMORY, STARTING, Arrays, Worker, advance_to, instance_for, time_limit_s, worker_for
+from maxq.sim.run.guard import MEMORY, Arrays, Worker, advance_to, complaint, instance_for, worker_for
 from maxq.sim.run.held_code import CodeWindows, load_kernels
-from maxq.sim.run.instances import Inputs, Instance, Outputs, Setup, Unusable
+from maxq.sim.run.instances import Inputs, Instance, Outputs, Setup, Unusable, ended
 from maxq.sim.scenario.flight_code import code_hash
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
 KEY = "vehicle.computer"
-_COMMANDS = ("gimbal_rad[0], pitch", "gimbal_rad[1], yaw", "roll_gimbal_rad")
 
 
 def title(computer: ComputerSection) -> str:
@@ -41,6 +39,12 @@ def _announce(code: str, sha256: str) -> None:
     """Log a warning, once per process, that external code is run, because a foreign log or scenario may name code."""
     mark = f" (sha256 {sha256[:16]})" if sha256 else ""
     logging.getLogger("maxq").warning("maxq: flies flight code from outside: %s%s", code, mark)
+
+
+@lru_cache(maxsize=64)
+def _report_end(code: str, said: str) -> None:
+    """Log a warning, once per process, that flight code has failed after its flight."""
+    logging.getLogger("maxq").warning("maxq: flight code %s failed at its end, after the flight: %s", code, said)
 
 
 def guards(loaded: LoadedScenario) -> bool:
@@ -102,7 +106,7 @@ class FlightSoftware:
         self._worker: Worker | None = None
         self._instance: Instance | None = None
         self._said = ""
-        self._end: Callable[[], object] = lambda: None
+        self._end: Callable[[], str | None] = lambda: None
 
     def start(self, arrays: Arrays) -> Arrays:
         """Start the code for a flight that is at its start, and return the arrays of the flight.
@@ -125,8 +129,7 @@ class FlightSoftware:
                     raise Unusable(problem)
             else:
                 self._instance = instance_for(self._computer, setup, self._held, state)
-                self._end = weakref.finalize(self, self._instance.close)
-                state.step, state.instance, state.inside = self._instance.step, self._instance.address, 0
+                self._end = weakref.finalize(self, ended, self._instance)
         except Unusable as error:
             where = f"{KEY}.{self._computer.code_keys[0]}"
             raise ScenarioError(self._label, str(error), where, value=title(self._computer)) from None
@@ -143,34 +146,17 @@ class FlightSoftware:
             self._arrays[MEMORY][0].clock.finished = 1
 
     def close(self) -> None:
-        """End the code of the flight. Another flight may then use shared arrays. A second call has no effect."""
-        self._end()
+        """End the code of the flight, and report an error of its end. A second call has no effect.
+
+        Another flight may then use shared arrays.
+        """
+        if said := self._end():
+            _report_end(title(self._computer), said)
 
     def complaint(self, state: Any) -> str:
         """Return the reason for which the flight code ended the flight, or an empty string if it has not.
 
         `state` is the ExternalState in the memory of the flight.
         """
-        fault, code = int(state.fault), int(state.code)
-        if fault == 0:
-            return self._said
-        during = {0: "between two samples", 1: "in its step", STARTING: "at its start"}[int(state.inside)]
-        if fault == NOT_FINITE:
-            return f"gave {_COMMANDS[code]}: not a finite number, or beyond 1e6 rad"
-        if fault == BAD_THRUSTER:
-            return f"gave roll_thruster = {code}: allowed is -1, 0 or 1"
-        if fault == CRASHED:
-            return f"crashed {during}: {_signal_name(code)}"
-        if fault == STUCK:
-            return f"did not return within {time_limit_s(self._computer, int(state.inside)):g} s {during}"
-        return self._said or f"its step returned {code}"
-
-
-def _signal_name(code: int) -> str:
-    """Return the reason for the end of a process, from its exit code or, if negative, its signal."""
-    if code >= 0:
-        return f"its process ended with exit code {code}"
-    try:
-        return signal.Signals(-code).name
-    except ValueError:
-        return f"signal {-code}"
+        numbers = {name: int(getattr(state, name)) for name in ("fault", "code", "inside")}
+        return complaint(self._computer, self._said, **numbers)

@@ -37,10 +37,11 @@ from typing import Any
 
 import numpy as np
 
-from maxq.control.external import FswInputs, FswOutputs
+from maxq.control.external import FswInputs, FswOutputs, ProtectedCall, call_once
 from maxq.control.held_inputs import Superposition, superpose
 from maxq.control.kernel.records import Array, Records, blank, dtype_of
-from maxq.sim.run.instances import Instance, Outputs, Setup, StepFunction, described, module_of, started
+from maxq.sim.run.instances import Instance, Outputs, Setup, StepFunction, described, ended, module_of, started
+from maxq.sim.run.protection import OVERWROTE_TEXT, FloatingPoint
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
 WINDOW_S, SHORTEST_S, SHORTER = 5.0, 2.0, 0.3
@@ -118,10 +119,15 @@ class CodeWindows:
 class HeldCode(Instance):
     """The flight code that a held flight calls: a sequence of instances, each for a window.
 
-    `alive` is called regularly while an instance receives the tape. The constructor raises Unusable.
+    `alive` is called regularly while an instance receives the tape. `watched` is the address and the size of memory
+    that the code must not change. The constructor raises Unusable.
     """
 
-    def __init__(self, computer: ComputerSection, held: CodeWindows, alive: Callable[[], None]) -> None:
+    def __init__(
+        self, computer: ComputerSection, held: CodeWindows, alive: Callable[[], None], watched: tuple[int, int]
+    ) -> None:
+        self.floating_point = FloatingPoint()
+        self._calls, self._watched = blank(ProtectedCall), watched
         self._function = StepFunction(self._called)
         self.step = ctypes.cast(self._function, ctypes.c_void_p).value or 0
         self._computer, self._held, self._alive = computer, held, alive
@@ -130,7 +136,8 @@ class HeldCode(Instance):
         self._blended = not np.array_equal(flown["rate_radps"], flown["delta_angle_rad"] / held.sample_s)
         self._state, self._out, self._given = blank(Superposition), blank(FswInputs), blank(FswInputs)
         self._answer = Outputs()
-        self._places = *(x.ctypes.data for x in (self._given, self._out)), ctypes.addressof(self._answer)
+        self._received = self._given.ctypes.data
+        self._structs = self._out.ctypes.data, ctypes.addressof(self._answer)
         self._heard: deque[tuple[bytes, tuple[float, ...]]] = deque(maxlen=held.rows(LISTENED_S))
         self._presented: list[bytes] = []
         self._answered: list[tuple[float, ...]] = []
@@ -152,7 +159,7 @@ class HeldCode(Instance):
             self._next_window()
         if self.error:
             return 1
-        ctypes.memmove(self._places[0], address, _IN.itemsize)
+        ctypes.memmove(self._received, address, _IN.itemsize)
         superpose(self._inputs, self._row, self._given, 0, 1.0, self._state, self._out)
         commands = self._ask()
         if commands is None:
@@ -173,13 +180,23 @@ class HeldCode(Instance):
     def _ask(self) -> tuple[float, ...] | None:
         """Return the commands of the instance for the present inputs, or None if its step fails."""
         assert self._instance is not None
-        ctypes.memmove(self._places[2], _BLANK, len(_BLANK))
-        code = self._step_of(self._instance.address, *self._places[1:])
-        if code:
-            self.error = self._instance.error or f"its step returned {code}"
+        ctypes.memmove(self._structs[1], _BLANK, len(_BLANK))
+        if self._fails(*self._structs):
             return None
         a = self._answer
         return a.gimbal_rad[0], a.gimbal_rad[1], a.roll_gimbal_rad, float(a.roll_thruster)
+
+    def _fails(self, inputs: int, outputs: int) -> bool:
+        """Call the instance with the structs at these addresses. If it fails, set `error` and return True."""
+        assert self._instance is not None
+        call = self._calls[0]
+        call.given_from, call.taken_to = inputs, outputs
+        code, changed = call_once(self._calls)
+        if changed:
+            self.error = OVERWROTE_TEXT
+        elif code:
+            self.error = self._instance.error or f"its step returned {code}"
+        return bool(self.error)
 
     def _next_window(self) -> None:
         """Start the next instance, and take it to the beginning of its window."""
@@ -220,24 +237,21 @@ class HeldCode(Instance):
     def _restart(self) -> None:
         """End the instance and start a new one; modules or a library are loaded again as far as a process allows."""
         if self._instance is not None:
-            self._instance.close()
+            ended(self._instance)
             self._instance.unload()
         if self._computer.python is not None:
             _forget_modules(Path(self._computer.python.file).parent)
         self._instance = started(self._computer, Setup.from_buffer_copy(self._held.tape.setup))
-        self._step_of = StepFunction(self._instance.step)
+        self._instance.connect(self._calls[0], self._structs, self._watched)
 
     def _answers(self, inputs: Records) -> Array:
         """Return the commands (n, 4) of the instance for consecutive inputs, up to the first failure."""
-        assert self._instance is not None
         given, taken = np.array(inputs), np.frombuffer(bytearray(_BLANK * len(inputs)), _OUT)
-        address, first_in, first_out = self._instance.address, given.ctypes.data, taken.ctypes.data
+        first_in, first_out = given.ctypes.data, taken.ctypes.data
         for k in range(len(given)):
             if k % 256 == 0:
                 self._alive()
-            code = self._step_of(address, first_in + k * _IN.itemsize, first_out + k * _OUT.itemsize)
-            if code:
-                self.error = self._instance.error or f"its step returned {code}"
+            if self._fails(first_in + k * _IN.itemsize, first_out + k * _OUT.itemsize):
                 return commands_of(taken[:k])
         return commands_of(taken)
 
@@ -272,9 +286,13 @@ class HeldCode(Instance):
 
 @lru_cache(maxsize=1)
 def load_kernels() -> None:
-    """Load or compile `superpose`, whose compilation would otherwise count towards the code's time limit."""
+    """Load or compile the entries that a held flight calls.
+
+    Their compilation would otherwise count towards the code's time limit.
+    """
     tape, outs = blank(FswInputs), blank(FswInputs)
     superpose(tape, 0, blank(FswInputs), 0, 1.0, blank(Superposition), outs)
+    call_once(blank(ProtectedCall))
 
 
 def command_offset(before: Array, after: Array) -> float:

@@ -7,6 +7,7 @@ For all kinds of code, the flight calls a C function with the records of control
 | `library` | `maxq_fsw_step` of the library | return value |
 | `python` | ctypes callback that calls the method `step` | exception |
 | `address` | ctypes callback that sends a message and receives the answer | broken connection, timeout |
+| `sandbox` | as for `address`, to a process in a sandbox | the code's own, or the end of the process |
 """
 
 from __future__ import annotations
@@ -16,26 +17,30 @@ import contextlib
 import ctypes
 import importlib.util
 import os
+import signal
 import socket
 import struct
 import sys
-import tempfile
 import time
 from abc import ABC, abstractmethod
 from functools import lru_cache
+from multiprocessing.connection import Pipe
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NoReturn
 from urllib.parse import urlsplit
 
 from maxq.control.external import ABI, FswInputs, FswOutputs
 from maxq.control.kernel.records import dtype_of
+from maxq.sim.run.protection import FloatingPoint, GuardedMemory, Protection, own_floating_point
+from maxq.sim.run.sandbox import confine, sandbox_problem
 from maxq.sim.scenario.flight_code import SETTINGS_BYTES, CodeFile
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
 _FUNCTIONS = ("maxq_fsw_abi", "maxq_fsw_bytes", "maxq_fsw_init", "maxq_fsw_step", "maxq_fsw_close")
 _ALIGNMENT = 64
 _MOST_BYTES = 1 << 30  # largest size of an instance
+_BEYOND_INT = 1 << 63
 StepFunction = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
 
@@ -75,12 +80,24 @@ class Instance(ABC):
     """A running instance of flight code.
 
     `step` is the address of the C function that the flight calls, and `address` that of its first argument. `error` is
-    the message of the first error, or empty.
+    the message of the first error, or empty. `floating_point` is the environment of the code after its start.
     """
 
     step: int
     address = 0
     error = ""
+    floating_point: FloatingPoint
+
+    def connect(self, call: Any, structs: tuple[int, int], watched: tuple[int, int] = (0, 0)) -> None:
+        """Write into the ProtectedCall `call` how the code is called.
+
+        `structs` are the addresses of the simulator's inputs and outputs. `watched` is the address and the size of
+        memory that the code must not change; a size of 0 stands for none.
+        """
+        self._protection = Protection(self.floating_point)
+        self._protection.bind(call, self.step, self.address, *structs)
+        if watched[1] > 0:
+            self._protection.watch(call, *watched)
 
     @abstractmethod
     def close(self) -> None:
@@ -112,10 +129,11 @@ class _Library(Instance):
         if not 0 <= size <= _MOST_BYTES:
             raise Unusable(f"wants {size} bytes for an instance, allowed are 0 to {_MOST_BYTES}")
         self._library = library
-        self._memory = ctypes.create_string_buffer(size + _ALIGNMENT)
-        start = ctypes.addressof(self._memory)
-        self.address = start + -start % _ALIGNMENT
-        refused = library.maxq_fsw_init(ctypes.c_void_p(self.address), ctypes.byref(setup))
+        self._memory = GuardedMemory(-(-size // _ALIGNMENT) * _ALIGNMENT)
+        self._setup = GuardedMemory(ctypes.sizeof(Setup))
+        self.address = self._memory.address
+        ctypes.memmove(self._setup.address, ctypes.byref(setup), ctypes.sizeof(Setup))
+        refused = library.maxq_fsw_init(ctypes.c_void_p(self.address), ctypes.c_void_p(self._setup.address))
         if refused:
             raise Unusable(f"maxq_fsw_init returned {refused}")
         self.step = ctypes.cast(library.maxq_fsw_step, ctypes.c_void_p).value or 0
@@ -183,8 +201,10 @@ class _PythonClass(_InPython):
             room = getattr(outputs, name)
             if isinstance(room, ctypes.Array):
                 room[:] = [float(item) for item in value]
-            else:
-                setattr(outputs, name, value)
+                continue
+            if isinstance(value, int) and not -_BEYOND_INT <= value < _BEYOND_INT:  # ctypes would take it modulo 2**64
+                raise ValueError(f"{name} is an integer beyond 64 bits")
+            setattr(outputs, name, value)
         return 0
 
     def close(self) -> None:
@@ -203,18 +223,17 @@ def module_of(file: str, sha256: str) -> ModuleType:
         raise Unusable("is no Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    beside, elsewhere = str(Path(file).parent), sys.pycache_prefix
+    beside, elsewhere, writes_not = str(Path(file).parent), sys.pycache_prefix, sys.dont_write_bytecode
     sys.path.insert(0, beside)
     try:
-        with tempfile.TemporaryDirectory() as nothing:
-            sys.pycache_prefix = nothing
-            spec.loader.exec_module(module)
+        sys.pycache_prefix, sys.dont_write_bytecode = os.devnull, True
+        spec.loader.exec_module(module)
     except BaseException as error:
         del sys.modules[spec.name]
         raise Unusable(described(error)) from None
     finally:
         sys.path.remove(beside)
-        sys.pycache_prefix = elsewhere
+        sys.pycache_prefix, sys.dont_write_bytecode = elsewhere, writes_not
     return module
 
 
@@ -235,7 +254,7 @@ class _Remote(_InPython):
 
     def __init__(self, address: str, timeout_s: float, setup: Setup) -> None:
         super().__init__()
-        parts, self._number, self._timeout_s = urlsplit(address), 0, timeout_s
+        parts, self._number, self._timeout_s, self._address = urlsplit(address), 0, timeout_s, address
         self._stream = parts.scheme == "tcp"
         place = (parts.hostname or "", parts.port or 0)
         try:
@@ -259,7 +278,9 @@ class _Remote(_InPython):
             self.error = self._said(error)
             return 1
         ctypes.memmove(ctypes.addressof(outputs), content, len(content))
-        return code
+        if code:
+            self.error = f"its step returned {code}"
+        return int(code != 0)
 
     def close(self) -> None:
         with contextlib.suppress(OSError):
@@ -267,9 +288,12 @@ class _Remote(_InPython):
             self._socket.close()
 
     def _said(self, error: OSError) -> str:
+        said = error.strerror.lower() if error.strerror else str(error)
         if isinstance(error, TimeoutError):
-            return f"no answer within {self._timeout_s:g} s"
-        return error.strerror.lower() if error.strerror else str(error)
+            said = f"no answer within {self._timeout_s:g} s; its process may be stopped, or too slow"
+        elif isinstance(error, ConnectionError) and self._number > 1:
+            said = "the connection was closed; its process has ended"
+        return f"{self._address}: {said}"
 
     def _ask(self, kind: int, content: bytes, expected: int) -> tuple[int, bytes]:
         """Send a message, and return the code of its answer and the content, of `expected` bytes. Raises OSError."""
@@ -300,9 +324,92 @@ class _Remote(_InPython):
             if not self._stream:
                 return part
             if not part:
-                raise ConnectionError("the connection was closed")
+                raise ConnectionError
             out += part
         return out
+
+
+class _Sandboxed(_InPython):
+    """Flight code in a process of its own in a sandbox, which shares no memory with the flight."""
+
+    def __init__(self, computer: ComputerSection, setup: Setup) -> None:
+        super().__init__()
+        if problem := sandbox_problem():
+            raise Unusable(problem)
+        self._line, theirs = Pipe()
+        self._pid = os.fork()
+        if self._pid == 0:
+            _serve_sandbox(theirs, computer)
+        theirs.close()
+        _, _, error = self._ask(bytes(setup))
+        if error:
+            raise Unusable(error)
+
+    def answer(self, inputs: Any, outputs: Any) -> int:
+        code, content, self.error = self._ask(bytes(inputs))
+        ctypes.memmove(ctypes.addressof(outputs), content, len(content))
+        return code
+
+    def close(self) -> None:
+        _, _, error = self._ask(b"")
+        if error:
+            raise Unusable(error)
+
+    def _ask(self, message: bytes) -> tuple[int, bytes, str]:
+        """Send a struct to the process, and return the code, the outputs and the error of its answer."""
+        try:
+            self._line.send_bytes(message)
+            answer = self._line.recv_bytes()
+        except (EOFError, OSError):
+            code = os.waitstatus_to_exitcode(os.waitpid(self._pid, 0)[1])
+            return 1, b"", f"its process in the sandbox ended: {end_name(code)}"
+        size = _CODE.size + ctypes.sizeof(Outputs)
+        return _CODE.unpack_from(answer)[0], answer[_CODE.size : size], answer[size:].decode(errors="replace")
+
+
+def _serve_sandbox(line: Any, computer: ComputerSection) -> NoReturn:
+    """Run flight code in this process, a fork, which answers the structs of a connection."""
+    try:
+        keep = line.fileno()
+        os.closerange(3, keep)
+        os.closerange(keep + 1, os.sysconf("SC_OPEN_MAX"))
+        sys.dont_write_bytecode = True
+        confine()
+        instance, error, taken, given = None, "", Outputs(), Inputs()
+        while message := line.recv_bytes():
+            code = 0
+            if instance is None:
+                try:
+                    instance = started(computer.model_copy(update={"sandbox": False}), Setup.from_buffer_copy(message))
+                    step = StepFunction(instance.step)
+                except Unusable as problem:
+                    code, error = 1, str(problem) or "cannot be started"
+            else:
+                ctypes.memmove(ctypes.addressof(given), message, len(message))
+                ctypes.memset(ctypes.addressof(taken), 0, ctypes.sizeof(taken))
+                taken.bytes = ctypes.sizeof(taken)
+                code = step(instance.address, ctypes.addressof(given), ctypes.addressof(taken))
+                error = (instance.error or f"its step returned {code}") if code else ""
+            line.send_bytes(_CODE.pack(code) + bytes(taken) + error.encode())
+        error = ended(instance) if instance is not None else ""
+        line.send_bytes(_CODE.pack(0) + bytes(taken) + error.encode())
+    except (EOFError, OSError):
+        pass
+    finally:
+        with contextlib.suppress(Exception):
+            sys.stdout.flush()
+            ctypes.CDLL(None).fflush(None)
+        os._exit(0)
+
+
+def end_name(code: int) -> str:
+    """Return the signal that ended a process, or its exit code, for a code of os.waitstatus_to_exitcode."""
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return signal.Signals(-code).name
+    except ValueError:
+        return f"signal {-code}"
 
 
 def described(error: BaseException) -> str:
@@ -318,6 +425,25 @@ def described(error: BaseException) -> str:
 
 def started(computer: ComputerSection, setup: Setup) -> Instance:
     """Return a running instance of the flight code of `computer`. Raises Unusable if it cannot be started."""
+    with own_floating_point() as of_code:
+        instance = _started(computer, setup)
+    instance.floating_point = of_code
+    return instance
+
+
+def ended(instance: Instance) -> str:
+    """Close an instance, and return the message of an error, or an empty string."""
+    try:
+        with own_floating_point():
+            instance.close()
+    except BaseException as error:  # of the code, whose flight has ended
+        return described(error)
+    return ""
+
+
+def _started(computer: ComputerSection, setup: Setup) -> Instance:
+    if computer.sandbox:
+        return _Sandboxed(computer, setup)
     if computer.library is not None:
         return _Library(computer.library, setup)
     if computer.python is not None:

@@ -74,6 +74,10 @@ class ComputerSection(Section):
     timeout_s: Positive = optional("time limit of the flight code for one sample, s", 2.0)
     guard: bool = optional("run the flight code in its own process; off: a crash ends maxq, for debuggers", True)
 
+    sandbox: bool = optional(
+        "run a library or Python class that is not trusted without files to write, sockets and processes (Linux)", False
+    )
+
     @property
     def hashed_files(self) -> dict[str, CodeFile]:
         """Return the flight code, its sources and its data, by key."""
@@ -90,6 +94,8 @@ class ComputerSection(Section):
         self.at_most_one(*_CODE)
         self.only_with(("sources",), self.library is not None, "library")
         self.only_with(("data",), self.library is not None or self.python is not None, "library or python")
+        if self.sandbox and (self.address is not None or not self.guard or not self.code_keys):
+            raise refuse("is for a guarded library or Python class only", "false", ("sandbox",))
         if self.law == "external" and not self.code_keys:
             raise refuse("names no flight code", f"external with one of {', '.join(_CODE)}", ("law",))
         if self.delay_s > self.sample_s:
