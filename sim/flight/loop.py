@@ -18,7 +18,8 @@ from maxq.sim.flight.parameters import APOGEE, DIVERGED, IMPACT, LIFTOFF, N_EVEN
 from maxq.sim.flight.telemetry import Logged, fill_fast, fill_slow
 from maxq.sim.vehicle.block import Q_BI, counts
 from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainly, flight_direction
-from maxq.sim.vehicle.loads.kernel import MAX_EXTREMES, evaluate_sections, gather_sections
+from maxq.sim.vehicle.loads.columns import MAX_EXTREMES
+from maxq.sim.vehicle.loads.kernel import evaluate_sections, gather_sections
 from maxq.sim.vehicle.schedule import TOTAL_MASS, properties_size
 from maxq.sim.vehicle.state import FINITE, divergence_cause, state_size
 from maxq.sim.vehicle.workspace import Evaluation

@@ -65,6 +65,7 @@ MAX_LOAD_COLUMNS += MAX_BOOSTER_COLUMNS
 AXIAL, SHEAR_Y, SHEAR_Z, MOMENT_Y, MOMENT_Z = range(5)
 SECTION_WIDTH = 5
 _EXTREMES = N_KINDS * MAX_LOAD_STATIONS  # number of extremes of a stage
+MAX_EXTREMES = MAX_STAGES * _EXTREMES
 
 
 @dataclass(frozen=True)
@@ -106,10 +107,10 @@ class SectionLoads:
     mismatch: float  # largest relative difference between line mass and core so far
     mismatch_ns: int
     section: Annotated[Array, (SECTION_WIDTH * MAX_LOAD_STATIONS,)]
-    value: Annotated[Array, (MAX_STAGES * _EXTREMES,)]  # stage by stage, kind by kind, station by station
-    value_ns: Annotated[IntArray, (MAX_STAGES * _EXTREMES,)]
-    ratio: Annotated[Array, (MAX_STAGES * _EXTREMES,)]  # ratio to the limit
-    ratio_ns: Annotated[IntArray, (MAX_STAGES * _EXTREMES,)]
+    value: Annotated[Array, (MAX_EXTREMES,)]  # stage by stage, kind by kind, station by station
+    value_ns: Annotated[IntArray, (MAX_EXTREMES,)]
+    ratio: Annotated[Array, (MAX_EXTREMES,)]  # ratio to the limit
+    ratio_ns: Annotated[IntArray, (MAX_EXTREMES,)]
 
 
 class Drivers(NamedTuple):
