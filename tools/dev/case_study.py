@@ -399,11 +399,11 @@ def flights() -> list[str]:
 
 
 # A launcher with boosters
-def boosters_folder() -> Path:
-    """Return the folder of the launcher with boosters that `simvehicle` builds."""
-    folder = RUNS / "heron"
+def built_folder(name: str) -> Path:
+    """Return the folder of a vehicle that `simvehicle` builds from its layout."""
+    folder = RUNS / name
     if not (folder / "case.toml").exists():
-        subprocess.run([Path(sys.executable).with_name("simvehicle"), "heron", "--out", folder], check=True)
+        subprocess.run([Path(sys.executable).with_name("simvehicle"), name, "--out", folder], check=True)
     return folder
 
 
@@ -422,7 +422,7 @@ def boosters_designed() -> dict[str, Any]:
         "reference.rigid_hz=0.28",
         "reference.rigid_zeta=0.5",
     )
-    case = str(boosters_folder() / "case.toml")
+    case = str(built_folder("heron") / "case.toml")
     return {
         name: kept(f"heron-{name}/design.json", "simdesign", case, "--no-pictures", *set_((*limits, *changes)))
         for name, changes in BOOSTERS.items()
@@ -434,7 +434,7 @@ def boosters_points(times_s: Sequence[float]) -> dict[str, tuple[Design, Sequenc
     boosters_designed()
     out: dict[str, tuple[Design, Sequence[Node]]] = {}
     for name in BOOSTERS:
-        loaded = load_scenario(str(boosters_folder() / "scenario.toml"), [f'design="{_of(name)}"'])
+        loaded = load_scenario(str(built_folder("heron") / "scenario.toml"), [f'design="{_of(name)}"'])
         assert loaded.scenario.design is not None
         out[name] = loaded.scenario.design, operating_points.nodes(loaded, times_s)
     return out
@@ -446,7 +446,7 @@ def _of(name: str) -> str:
 
 def boosters() -> list[str]:
     """Compare the peak of mode 1 and the margins: at the operating points, every 2 s, and at random corners."""
-    deviating = campaign_of(Robust(), load_scenario(str(boosters_folder() / "scenario.toml")))
+    deviating = campaign_of(Robust(), load_scenario(str(built_folder("heron") / "scenario.toml")))
     between, rows = boosters_points(np.arange(2.0, 85.0, 2.0).tolist()), []
     for name, (design, nodes) in boosters_points(POINTS_S).items():
         peak_db = max(j.mode_peak_db(1, 1) for j in judge(nodes, design, "sampled"))
@@ -462,7 +462,7 @@ def boosters_flown() -> list[str]:
     """Fly the designs until the boosters leave."""
     boosters_designed()
     return in_flight(
-        str(boosters_folder() / "scenario.toml"),
+        str(built_folder("heron") / "scenario.toml"),
         {
             (name, where): [f'design="{_of(name)}"', "run.duration_s=85.5", *changes]
             for name, (where, changes) in itertools.product(BOOSTERS, BOOSTERS_FLOWN.items())
@@ -503,8 +503,15 @@ def judged() -> dict[str, dict[str, Any]]:
 
 
 def verdicts() -> list[str]:
-    """Return a table of every requirement that a design does not meet; yaw is listed only if it differs from pitch."""
-    every = judged()
+    """Return a table of every requirement that a robust design does not meet."""
+    return lacking(judged())
+
+
+def lacking(every: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return a table of every requirement that a design does not meet; yaw is listed only if it differs from pitch.
+
+    `every` contains verdict.json of each design for one suite.
+    """
     of_each = [v["requirements"] for v in every.values()]
     by_name = [{r["name"]: r for r in reversed(of)} for of in of_each]  # pitch, if both planes have the requirement
     mark = {"accepted": "", "rejected": " ✗", "undecided": " ?"}
@@ -517,7 +524,7 @@ def verdicts() -> list[str]:
         found = [re.sub(r", wanted [<>]=[^;]*", "", m["found"]) for m in mine]
         if name.startswith("least |1 + L|"):
             found = [text.partition(";")[0] for text in found]
-        key = (re.sub(", (pitch|yaw)$", "", name), *found)
+        key = (re.sub(", (pitch|yaw)(?=$|, stage)", "", name), *found)
         if key in shown:
             continue
         shown.add(key)
@@ -525,6 +532,14 @@ def verdicts() -> list[str]:
             cells = (text + mark.get(m["verdict"], "") for text, m in zip(found, mine, strict=True))
             rows.append((name.replace("|", "\\|"), r["wanted"].removesuffix(", 99.73 % with 95 %"), *cells))
     return [*table(("requirement", "limit", *every), rows), "", "✗ missed, ? undecided, - not required."]
+
+
+def heron() -> list[str]:
+    """Return the verdict of heron's own suite on its design of all stages."""
+    folder, made = built_folder("heron"), RUNS / "heron-every"
+    kept("heron-every/design.json", "simdesign", str(folder / "case.toml"), "--no-pictures")
+    found = kept("verdicts/heron/verdict.json", "simverify", str(made), "--suite", str(folder / "suite.toml"))
+    return lacking({"heron": found})
 
 
 def _n(value: float) -> str:
@@ -553,6 +568,7 @@ TABLES: dict[str, Callable[[], list[str]]] = {
     "flights": flights,
     "campaigns": campaigns,
     "verdicts": verdicts,
+    "heron": heron,
     "boosters": boosters,
     "boosters-flown": boosters_flown,
 }
