@@ -180,7 +180,7 @@ def test_what_is_recorded_is_what_was_flown(campaign: LoadedCampaign, serial: Pa
 
 @pytest.fixture(scope="module")
 def inexact() -> LoadedCampaign:
-    """Return a campaign whose run 931 has an integration error of 0.045 mm in a bending of 0.68 mm."""
+    """Return a campaign whose run 931 has an integration error of 0.045 mm at a bending of 0.68 mm."""
     return maxq.load("campaigns/ksr3-ringed").with_campaign(runs=8, envelope=Envelope(runs=0))
 
 

@@ -243,7 +243,7 @@ def mass_row(time_s: float, mass_kg: float, lateral_kgm2: float) -> dict[str, fl
 def test_kinks_of_the_schedule_cost_no_accuracy(step_s: float) -> None:
     """Mass flow and inertia rate jump at a row of a linear table, and the step that begins there uses the new values.
 
-    Jet damping in closed form per interval: w = w0 (I / I0)^-(1 + mdot l^2 / I').
+    The closed form of jet damping in an interval is w = w0 (I / I0)^-(1 + mdot l^2 / I').
     """
     rows = [mass_row(0.0, 4000.0, 5.0e4), mass_row(2.0, 3000.0, 4.5e4), mass_row(4.0, 2900.0, 3.5e4)]
     rows += [mass_row(20.0, 2000.0, 3.0e4)]

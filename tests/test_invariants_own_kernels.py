@@ -133,7 +133,7 @@ def test_uncompiled_source_reads_the_record():
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="of compiled code")
 def test_compiled_code_has_the_sizes_as_constants():
-    """After a change of the memory layout, code for one vehicle computes with the sizes in its type."""
+    """Code for one vehicle uses the sizes in its type, even after the sizes in memory change."""
     numbers = tuple(range(1, len(Counts._fields)))
     plain = pack([Sizes(*numbers)])
     own = with_constants(plain)

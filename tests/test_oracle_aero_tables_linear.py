@@ -209,7 +209,7 @@ def test_flexible_vehicle_at_its_trim(trim_deg: tuple[float, float]) -> None:
 
 
 def test_what_other_states_do_to_one_plane_in_incidence() -> None:
-    """At 4 deg with 2 deg of sideslip, speed, roll and the other plane affect a plane as docs/model.md, 6, states."""
+    """At alpha 4 deg, beta 2 deg, other states change the response of a plane as docs/model.md, section 6, states."""
     made = inclined((4.0, 2.0), symmetric()["coefficients"])
     model, hz = linearise(made.packed, made.packed.state, 0.0), np.geomspace(0.05, 30.0, 25)
     apart = []

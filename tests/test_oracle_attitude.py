@@ -168,7 +168,10 @@ def cone_angles(t: float) -> Array:
 
 
 def test_the_computer_follows_a_body_that_cones() -> None:
-    """The computer follows the closed-form motion, about the momentum and the body axis, with drift (9.2)."""
+    """The true attitude follows the closed form, and that in the computer equation (9.2).
+
+    The drift in the computer is less than a tenth of that without the correction for coning.
+    """
     around, across = INERTIA_KGM2
     parts = Parts(
         engine=False, core_inertia=((around, 0.0, 0.0), (0.0, across, 0.0), (0.0, 0.0, across)), core_cg=(7.0, 0.0, 0.0)

@@ -86,9 +86,9 @@ def test_response_in_flight_is_that_of_the_sampled_loop(held, loop: Loop, lines:
 
 @pytest.mark.slow
 def test_gravity_along_the_body_follows_it_and_leaves_its_loop() -> None:
-    """With gravity fixed along the body, the attitude is SciPy's and the loop that of a vehicle without gravity.
+    """Gravity fixed along the body turns with the attitude (SciPy), and the loop is that without gravity.
 
-    The lowest lines distinguish it from the loop with gravity.
+    The lowest line distinguishes it from the loop with gravity.
     """
     loaded = load_scenario("nominal")
     node = maxq.nodes(loaded, [TIME_S])[0]

@@ -75,7 +75,7 @@ def condition_of(packed: Packed) -> FlightCondition:
 
 
 def follow_of(packed: Packed) -> tuple[Array, Array]:
-    """Return the angles per command of the law (groups, 2), and those of further groups as multiples of the first's."""
+    """Return the angles per command of the law (groups, 2), and those of the other groups relative to the first."""
     a = packed.parameters[0].computer.allocation
     matrix = table_in(packed.pool, a.matrix)(TIME_S).reshape(-1, 3)
     gains = np.array([[matrix[2 * g, 0], matrix[2 * g + 1, 1]] for g in range(int(a.groups))])

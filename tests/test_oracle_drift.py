@@ -60,7 +60,7 @@ WITH_INTEGRAL = GainSchedule(
 # --- the computer
 @pytest.mark.parametrize(("law", "gains"), [("drift", PLAIN), ("pid-drift", WITH_INTEGRAL)])
 def test_command_is_pd_and_the_integrated_acceleration_behind_the_filter(law: Any, gains: GainSchedule) -> None:
-    """The command is PD plus the filtered integral of acceleration.
+    """The command is the filtered sum of PD (or PID) and the integrated acceleration.
 
     The axial force turns with the attitude error, which the clamp of the law's input does not limit.
     """

@@ -149,7 +149,7 @@ def built(folder: Path, design: str, *more: str, single: bool = False) -> Path:
 
 
 def moving(constant: re.Match[str]) -> str:
-    """Return the sections of a filter as a schedule: at burnout each zero is at 1.3 times its frequency."""
+    """Return a schedule of the filter sections in which each zero frequency rises by the factor 1.3 until burnout."""
     later = re.sub(r"zero_hz = ([\d.]+)", lambda zero: f"zero_hz = {1.3 * float(zero[1])}", constant[1])
     return f"schedule = [{{ time_s = 5.0, quadratic = {constant[1]} }}, {{ time_s = 121.0, quadratic = {later} }}]"
 

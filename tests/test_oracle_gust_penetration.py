@@ -198,9 +198,9 @@ def test_slender_body_on_the_edge_of_a_gust() -> None:
 # --- turbulence: the field that the nose has flown through
 @pytest.mark.parametrize("speeds", [[420.0] * 60, [2.0] * 900, list(np.linspace(0.0, 500.0, 300)), [0.0] * 20])
 def test_history_is_the_field_behind(speeds: list[float]) -> None:
-    """A field over distance, sampled at ticks of 10 ms, is linear between them, as the present gust is.
+    """The history interpolates a field over distance linearly between ticks of 10 ms.
 
-    Places nearer to each other than reach / 60 share one sample; a slow vehicle's field is exact to 1e-2 here.
+    Places closer together than reach / 60 share a sample; for a slow vehicle, the error is then below 1e-2.
     """
     reach, tick, waves = 14.0, 0.01, np.array([0.9, 0.7, 0.5])
     slow = min(speeds) * tick < reach / 60

@@ -56,7 +56,7 @@ def test_search_downwards_finds_the_smallest_value() -> None:
 
 
 def test_a_band_of_misses_below_a_larger_value_that_is_met_is_the_limit() -> None:
-    """Doubling steps (31, 63, 127) skip the band of misses from 35 to 45; the search over eight intervals finds it."""
+    """Doubling steps (31, 63, 127) skip the band of misses from 35 to 45; the search of eight intervals finds it."""
     found = find_limit(_Plant(lambda value: 35.0 < value < 50.0 or value > 100.0), 0.0)
     assert found.met is not None
     assert found.missed is not None

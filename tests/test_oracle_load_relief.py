@@ -141,7 +141,7 @@ def test_gradients_by_the_complex_step(loop: str) -> None:
 
 
 def excess_db(own: Any, wind, output: int, s: Any, limit: float) -> Any:
-    """Return the excess over a limit in dB, for complex steps: C is written again, and the loop closed in wind."""
+    """Return the excess over a limit in dB, with C rewritten for complex steps and the loop closed in wind."""
     z = np.exp(-2j * np.pi * np.exp(wind.x) * T)
     kept, shaped = np.exp(-2.0 * np.pi * T), filter_f3(own, s)
     lags = (1.0 - kept) / (1.0 - kept * z)

@@ -289,7 +289,7 @@ ROD_LOADS = {
 
 
 def test_axial_force_of_a_rod_that_vibrates_and_of_one_that_is_pushed() -> None:
-    """In free vibration the force is EA u' in closed form; after a push, partial sums of the series of N = 0."""
+    """The axial force is EA u' in free vibration, and just after a push the partial sum of the series of N = 0."""
     made = rod(0, stage={"loads": ROD_LOADS}, thrust_N=1.0e5)
     i, n, s = int(layout.spatial_index(made.sizes)), np.arange(1, 13), np.pi * CUTS_M / LENGTH_M
     pushed = -1.0e5 * (CUTS_M / LENGTH_M + np.sin(np.outer(s, n)) @ (2.0 * (-1.0) ** n / (np.pi * n)))

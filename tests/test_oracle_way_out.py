@@ -180,7 +180,7 @@ def test_multipliers_say_nothing_of_an_unstable_best_effort(margin: tuple) -> No
 
 @pytest.mark.long
 def test_trials_of_a_robust_case_hold_its_dispersed_vehicles() -> None:
-    """The vehicles are rebuilt from the labels of the search, and the violation of the best effort is unchanged."""
+    """Vehicles rebuilt from the labels of the search reproduce the violation of the best effort."""
     limits = ("limits.gain_margin_db=14", "limits.phase_margin_deg=50", "robust.limits.gain_margin_db=8")
     few = ("nodes_s=[45.0]", "search.starts=2", "search.leaps=0", "robust.rounds=1", "robust.corner_sigmas=1")
     loaded = kit.case(*limits, *few, name="ksr3-robust")

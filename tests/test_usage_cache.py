@@ -173,7 +173,7 @@ print(*out, len(DONE), len(SHARES) > 4 and SHARES[0] < 0.5, SHARES == sorted(SHA
 @pytest.mark.slow
 @pytest.mark.parametrize(("how", "here"), [("beside", 0), ("killed", 1), ("not allowed", 1), ("not to be had", 1)])
 def test_a_routine_compiled_by_another_process(tmp_path: Path, how: str, here: int) -> None:
-    """The result is the same if that process is killed or is not started, when this one compiles, and from the cache.
+    """The result is the same if the other process is killed or cannot start, and if the code is in the cache.
 
     The completed fraction never falls and ends at 1, whichever process compiles.
     """

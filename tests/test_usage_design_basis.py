@@ -277,7 +277,7 @@ def test_the_given_robust_design_meets_the_dispersed_limits_of_its_case(capsys: 
 
 @pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_a_file_states_what_its_design_misses_between_the_operating_points(every: bool) -> None:
-    """The file of ksr3-ringed states the shares correctly, at its two instants and at all 240."""
+    """The largest misses stated in the file of ksr3-ringed are found at its two instants and over all instants."""
     text = builtin_files("design")["ksr3-ringed"].read_text()
     scenario = load_scenario("ksr3-ringed")
     assert scenario.design is not None

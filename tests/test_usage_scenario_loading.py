@@ -119,7 +119,7 @@ def test_gains_of_the_yaw_axis(ascent: Path) -> None:
 
 
 def test_products_of_inertia_take_part_in_the_check(ascent: Path) -> None:
-    """Ixz is the integral of x z: 735 * 65893 allows 1000, but not 7000 (kg m2)."""
+    """With Ixx 735 and Izz 65,893 kg m2, an Ixz of 100 is accepted and 7,000 rejected (Ixz^2 > Ixx Izz)."""
     path = ascent.parent / "vehicles/rocket/mass.csv"
     header, *rows = TABLES["mass.csv"].splitlines()
     path.write_text("\n".join([f"{header},Ixz_kgm2", *(f"{row},100" for row in rows)]))

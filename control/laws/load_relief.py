@@ -90,9 +90,9 @@ def tick_load_relief(
 def tick_incidence_relief(
     law: PdRecord, relief: LoadRelief, pool: Array, state: PdState, filters: LoadReliefState, given: LawInputs
 ) -> float:
-    """Compute a tick as `tick_load_relief` does, with the estimated angle of attack.
+    """Compute a tick as `tick_load_relief` does, but feed back the estimated angle of attack.
 
-    Each axis has five columns in the gain table.
+    The gain table has five columns for each axis.
     """
     law_rad, gimbal, sign, at = 0.0, given.gimbal, 1.0 - 2.0 * given.gimbal, given.at
     if law.gains.n_breaks != 0:

@@ -98,10 +98,10 @@ def in_flight_response(loaded: LoadedScenario, times_s: Sequence[float], plane: 
 def in_flight_response_of_code(
     loaded: LoadedScenario, held: Mapping[float, ComplexArray], plane: Plane
 ) -> list[InFlightResponse]:
-    """Measure the response of flight code around each time, for comparison with that of held flights at LINES_HZ.
+    """Measure the response of flight code around each time, for comparison with held flights at LINES_HZ.
 
-    `held` contains the responses in held flights by time, which become `frozen`. Of the loop's change in the window,
-    only that of the vehicle is known, and of its poles only those of the vehicle without feedback.
+    `held` contains, by time, the responses in held flights, which become `frozen`. Within the window, only the change
+    of the vehicle is known, not that of the code; the only known poles are those of the vehicle without feedback.
     """
 
     def of(nodes: Sequence[Node]) -> list[_ResponseOfCode]:

@@ -348,10 +348,9 @@ class Lag:
         return np.asarray(gain / rest), first, first * (1.0 - u - 2.0 * u * left / rest)
 
     def change_with_slopes(self, x: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """Return the response of lag and differentiation in series, 1/s, and its two derivatives.
+        """Return the response of the lag and a differentiator in series, 1/s, and its first two derivatives.
 
-        The derivatives are the first and second with respect to x = ln f. Differentiation multiplies by s, or by
-        (1 - 1/z) / T in a sampled loop.
+        The derivatives are with respect to x = ln f. The differentiator is s, or (1 - 1/z) / T in a sampled loop.
         """
         (h, h1, h2), s = self.with_slopes(x), np.asarray(2j * np.pi * np.exp(x), np.complex128)
         parts: list[ComplexArray] = [s, s, s]

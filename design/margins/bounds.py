@@ -38,11 +38,11 @@ MOST_HALVINGS = 40
 
 
 class ZerosAndPoles(NamedTuple):
-    """The zeros and poles of L in s, or in z with a period, (factors,).
+    """The zeros and poles of L in s, or in z for a sampled loop, (factors,).
 
-    `sign` is +1 for a zero and -1 for a pole. `period_s` is 0 for s. `size_at` and `phase_at`, (places, factors),
-    locate the extremes of the derivatives of each factor's ln |.| and phase, in rad/s or as t = w T. `size` and `phase`
-    are the values at these extremes.
+    `sign` is +1 for a zero and -1 for a pole. `period_s` is the sampling period, or 0 in s. `size_at` and `phase_at`,
+    (places, factors), locate the extremes of the derivatives of each factor's ln |.| and phase, in rad/s or as t = w T.
+    `size` and `phase` are the values at these extremes.
     """
 
     at: ComplexArray

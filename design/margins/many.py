@@ -145,7 +145,7 @@ def margins_of_vehicle(
 
 @routine
 def _every_pole(mu: ComplexArray, law_poles: ComplexArray, late: int, integrates: bool) -> ComplexArray:
-    """Return the poles of 1 + L in w = z - 1: those of path, law and delay."""
+    """Return the poles of 1 + L in w = z - 1, which are those of the path, the law and the delay."""
     every, m = np.full(len(mu) + len(law_poles) + late, -1.0 + 0j), len(mu)
     every[:m] = mu
     cancelled = integrates  # a path with zero rate at constant command cancels the first integrator's pole

@@ -47,7 +47,7 @@ class Instants:
         return [self.known[t] for t in times_s]
 
     def over(self, times_s: Sequence[float], plants: Plants, law: LawVariables, solution: Solution) -> Array:
-        """Return the excess (dB) of the design at each time over its worst node, (kinds of rows, times)."""
+        """Return the excess (dB) of the design at each time relative to its worst node, (kinds of rows, times)."""
         case = self.loaded.case.model_copy(update={"nodes_s": tuple(times_s)})
         problem = make_problem(case, plants, law)
         there = problem.evaluate(solution.variables, complete=True)

@@ -121,7 +121,7 @@ class Plan:
 
     @cached_property
     def pairs(self) -> list[tuple[str, str, float]]:
-        """Return the names of both draws and the coefficient of each correlated pair with both draws in `draws`."""
+        """Return the draw names and the coefficient of each correlated pair whose draws are both in `draws`."""
         found = []
         for pair in self.campaign.correlated:
             i, j = ([d.name for d in self.draws if name in (d.name, d.label)] for name in pair.of)

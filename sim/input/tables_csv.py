@@ -37,7 +37,7 @@ DATE = r"\d{4}-(?:0[1-9]|1[0-2])-\d\d(?:[T ]\d\d)?"
 
 @dataclass(frozen=True, eq=False)
 class CsvTable:
-    """Columns of numbers of equal length, by name, read-only, in the order of the file.
+    """A table of named, read-only columns of equal length, in the order of the file.
 
     `file` is the file's name as given in the scenario, or empty if the scenario itself contains the table. `date` is
     the date of a wind profile, YYYY-MM-DD with or without Thh, or empty if unknown. Two tables are equal if their

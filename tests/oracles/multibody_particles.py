@@ -33,7 +33,7 @@ class Beam:
 
 
 def free_free_beam(mass_kg: Floats, x_B_m: Floats, n_pairs: int, rotor_kgm2: Floats) -> Beam:
-    """Return a beam with shapes from powers of x by Gram-Schmidt under the masses; each is 1 at the last particle."""
+    """Return a beam whose shapes are mass-orthogonalised powers of x (Gram-Schmidt), each 1 at the last particle."""
     x = x_B_m - mass_kg @ x_B_m / mass_kg.sum()
     span = np.ptp(x)
     basis: list[Floats] = []

@@ -280,8 +280,8 @@ def _pendulum_piece() -> _Piece:
 def _kinematics() -> tuple[Numeric, Numeric]:
     """Return two numeric functions of angles and rates.
 
-    Attitude: C_I'B (9), dw/dedot (9), the part of wdot without second rates (3).
-    Pendulum: u (3), du/dangles (6), the part of uddot without second rates (3).
+    Attitude: C_I'B (9), dw/dedot (9), and the part of wdot that is independent of second derivatives (3).
+    Pendulum: u (3), du/dangles (6), and the part of uddot that is independent of second derivatives (3).
     """
     found = _shared("kinematics", _derived_kinematics)
     return found["attitude"], found["direction"]

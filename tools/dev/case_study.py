@@ -602,8 +602,9 @@ def page_of(name: str) -> Path:
 
 
 def fill(page: str, name: str, lines: Sequence[str]) -> str:
-    """Return the page with `lines` between `<!-- begin name -->` and `<!-- end name -->`. Raises ValueError without
-    marks.
+    """Return the page with `lines` between `<!-- begin name -->` and `<!-- end name -->`.
+
+    Raises ValueError unless the page contains this pair of marks once.
     """
     filled, count = re.subn(
         rf"(<!-- begin {name} -->\n).*?(<!-- end {name} -->)",

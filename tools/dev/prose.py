@@ -251,7 +251,7 @@ def complaints(found: dict[str, list[Finding]], recorded: dict[str, int]) -> lis
 
 
 def lower(record: str, found: dict[str, list[Finding]], recorded: dict[str, int]) -> str:
-    """Return the text of the record, with each number that has decreased."""
+    """Return the text of the record with the numbers that have decreased updated."""
     for kind, findings in found.items():
         if len(findings) < recorded[kind]:
             record = re.sub(rf"(?m)^{kind} = \d+", f"{kind} = {len(findings)}", record)

@@ -347,7 +347,7 @@ def twisting(modes: ModeTable | SpatialModeTable) -> NDArray[np.bool_]:
 
 
 def _largest(values: Floats) -> tuple[int, int]:
-    """Return time and mode of the largest value."""
+    """Return the indices (time, mode) of the largest value."""
     t, m = np.unravel_index(int(np.argmax(values)), values.shape)
     return int(t), int(m)
 

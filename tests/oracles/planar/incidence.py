@@ -60,7 +60,7 @@ class TableSlopes:
         return self._slopes(_axes_of(plane), *self.by_mach)
 
     def across(self, plane: str) -> tuple[float, float, float, float]:
-        """Return the first two values by flow in the other plane: at the table, then by the Mach number."""
+        """Return the first two values of `plane` by the other plane's flow: at the table, then by the Mach number."""
         axes = _axes_of(plane)
         local = self.force_by_flow - self.by_mach[0], self.couple_by_flow_m - self.by_mach[1]
         return *self._slopes(axes, *local, 3 - axes[0]), *self._slopes(axes, *self.by_mach, 3 - axes[0])

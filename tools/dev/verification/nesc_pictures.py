@@ -35,7 +35,7 @@ def draw(flights: Mapping[str, Flight]) -> list[Path]:
 
 
 def histories(flights: Mapping[str, Flight], stem: Path) -> list[Path]:
-    """Draw two cases, with lines for maxq and marks every second for NASA. Return the paths of the files."""
+    """Plot two check cases, maxq as lines and NASA as dots every second. Return the paths of the files."""
     figure, places = sheet(1, 2, height_in=2.3)
     for place, (case, (title, unit, name, endings)) in zip(places, SHOWN.items(), strict=True):
         columns, flight = read_columns(DATA / f"nesc-{case}.csv.gz"), flights[f"nesc-{case}"]
