@@ -146,10 +146,10 @@ PINNED: dict[str, list[object]] = {
 
 
 def test_vector_winds_have_the_covariance_of_their_table() -> None:
-    """Standard deviations, correlation of components, and exp(-height / length) between altitudes are the table's.
+    """Standard deviations and correlations match the table, with exp(-height / length) between altitudes.
 
-    With 6,000 draws the standard error of a correlation is 0.013, and that of a standard deviation 1 %; five are
-    allowed.
+    With 6,000 draws, the standard error is 0.013 for a correlation and 1 % for a standard deviation. Five standard
+    errors are allowed.
     """
     z = np.arange(3) * 4000.0
     columns = {"sigma_north_mps": [4.0, 9.0, 7.0], "sigma_east_mps": [6.0, 8.0, 12.0], "correlation": [0.8, -0.5, 0.0]}

@@ -81,7 +81,7 @@ def test_second_time_everything_is_recalled(in_one_go: dict[str, Any]) -> None:
 
 @pytest.mark.long
 def test_an_interrupted_verification_goes_on(tmp_path: Path, in_one_go: dict[str, Any]) -> None:
-    """A verification killed early, interrupted, and killed late in the same folder completes."""
+    """A verification that is killed early, interrupted and killed late completes in the same folder."""
     told = _killed(tmp_path, "2:SIGKILL", "4:SIGINT", "8:SIGKILL")
     assert [killed["code"] for killed in told["killed"]] == [-9, 130, -9]
     for parts, killed in zip((2, 4, 8), told["killed"], strict=True):

@@ -168,7 +168,7 @@ def cone_angles(t: float) -> Array:
 
 
 def test_the_computer_follows_a_body_that_cones() -> None:
-    """The true attitude follows the closed form, and that in the computer equation (9.2).
+    """The true attitude follows the closed form; the attitude in the computer follows equation (9.2).
 
     The drift in the computer is less than a tenth of that without the correction for coning.
     """

@@ -86,7 +86,7 @@ def modelled(model: str, **more: object) -> dict[str, object]:
 @pytest.mark.parametrize("limits_act_on", ["servo", "engine"])
 @pytest.mark.parametrize("model", MODELS)
 def test_step_response_of_each_model(model: str, limits_act_on: str) -> None:
-    """Below the limits, both places of the servo have the response of the product of the sections."""
+    """Below the limits, the response is that of the product of the sections, wherever the limits act."""
     w, z = 2.0 * np.pi * np.array([5.8, 7.2, 52.6, 15.6]), [0.87, 0.49, 0.15, 0.042]
     quadratics = [np.array([1.0, 2.0 * d * x, x * x]) for x, d in zip(w, z, strict=True)]
     below, above = np.array([1.0]), np.array([1.0])
@@ -230,10 +230,10 @@ def test_backlash_is_a_play_behind_the_servo() -> None:
 
 @pytest.mark.parametrize("share", [0.2, 0.5])
 def test_describing_function_of_the_backlash(share: float) -> None:
-    """At the frequency of a sine, engine over servo is the describing function of play (Gelb & Vander Velde, 1968).
+    """For a sine, engine over servo is the describing function of play (Gelb & Vander Velde, 1968).
 
-    For half a play h behind an amplitude X: in phase (1/pi) (pi/2 + asin u + u sqrt(1 - u^2)), u = 1 - 2 h/X; in
-    quadrature -(4/pi) (h/X) (1 - h/X): the engine lags.
+    With half the play h and the servo amplitude X, it is (1/pi) (pi/2 + asin u + u sqrt(1 - u^2)) in phase, where
+    u = 1 - 2 h/X, and -(4/pi) (h/X) (1 - h/X) in quadrature: the engine lags.
     """
     hz, step_s = 2.0, 0.001
     signal = [{"at": "gimbal_command", "axis": "pitch", "kind": "sine", "amplitude_deg": 2.0, "frequency_hz": hz}]

@@ -189,7 +189,7 @@ def test_uniform_gravitation_and_injected_loads_agree_with_lagrange(seed: int) -
 
 
 def softening(parts: Parts, modes: tuple[Mode, ...]) -> Array:
-    """Return int mass_forward phi_i' phi_j' dx up to the gimbal, less the engine that hangs behind it (kg/m)."""
+    """Return the integral of mass_forward phi_i' phi_j' up to the gimbal, less the engine's term (kg/m)."""
     x = np.array(parts.stations_m)
     shapes = [CubicHermiteSpline(x, mode.phi, mode.slope_pm) for mode in modes]
     out = np.zeros((len(modes), len(modes)))

@@ -98,7 +98,7 @@ def von_karman(f, sigma, length, longitudinal):
 
 
 def assert_spectrum(gust, spectrum, sigma, length, longitudinal, share=0.0):
-    """Compare the spectra; `share` is the error of the model alone."""
+    """Compare the spectrum of a gust with the expected one in bands; `share` allows for the error of the model."""
     f, got = scipy.signal.welch(gust, fs=100.0, nperseg=SEGMENT)
     # sampling folds components above 50 Hz back, and the comparison must contain them
     expected = sum(spectrum(np.abs(f + 100.0 * k), sigma, length, longitudinal) for k in range(-400, 401))

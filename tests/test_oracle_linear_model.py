@@ -101,7 +101,7 @@ class Node:
 def linear_plant(packed: Packed, condition: FlightCondition, plane: str = "pitch") -> StateSpace:
     """Return the plant from command (rad) to gyro rate, engine motion and vehicle motion.
 
-    States of vehicle, actuator and gyro, in this order.
+    Its states are those of the vehicle, the actuator and the gyro, in this order.
     """
     row = packed.parameters[0].vehicle
     moves, senses = actuator(row.actuator_pitch if plane == "pitch" else row.actuator_yaw), gyro(row.gyro)

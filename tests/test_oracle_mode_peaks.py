@@ -125,7 +125,7 @@ def fast_petrel(*overrides: str):
 
 @pytest.mark.long
 def test_stage_whose_mode_passes_the_sample_rate_is_designed() -> None:
-    """By the band alone, 15.2 dB would be missing, from |L| of the rigid body at 0.06 Hz."""
+    """A limit on |L| in the band would be missed by 15.2 dB, due to the rigid body at 0.06 Hz."""
     s = solve(fast_petrel(f"nodes_s=[163.5, 270.0, 400.0, {PASSES}, 420.0, 463.0]"))
     assert s.status == "optimal"
     assert s.certificate.stable

@@ -164,7 +164,7 @@ def test_difference_from_mujoco_is_the_bob_inertia(seed: int) -> None:
 
 
 def test_two_hinge_gimbal_adds_the_roll_of_the_engine_and_nothing_else() -> None:
-    """A cardan rolls the engine at k = dpdot sin(dy), as if -(H' + w x H), H = I_t k d, acted on the core."""
+    """A cardan rolls the engine at k = dpdot sin(dy); its reaction on the core is -(H' + w x H), H = I_t k d."""
     rng = np.random.default_rng(8)
     vehicle = random_vehicle(rng)
     state, load = random_state(rng, vehicle), random_load(rng)

@@ -223,8 +223,8 @@ def actuators_of(v: Vehicles, motion: Floats) -> Floats:
 def both(v: Vehicles, amount: Floats) -> tuple[Floats, Floats]:
     """Return the accelerations computed by the simulator and by the particles.
 
-    `amount` contains small pitch and yaw rates, then the coordinates and their rates, from the modes on. Driven engines
-    also have accelerations.
+    `amount` contains small pitch and yaw rates, then the coordinates after the first six, and their rates. Driven
+    engines also have accelerations.
     """
     size = v.particles.size
     q, rate, motion = np.zeros(size), np.zeros(size), np.zeros((2 * len(ENGINES), 3))

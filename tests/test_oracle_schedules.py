@@ -122,7 +122,7 @@ def test_optimiser_schedules_over_pressure() -> None:
     variables = np.concatenate([law.starts(1, 1)[0][:n], u])
 
     def gains(u: Any) -> Any:
-        """Return the gains (plants, 2) in complex arithmetic."""
+        """Return the scheduled gains (plants, 2); `u` may be complex."""
         nodes, k = np.array([2000.0, 30000.0, 60000.0]), np.exp(u).reshape(2, 3)
         i = np.clip(np.searchsorted(nodes, pressure) - 1, 0, 1)
         share = np.clip((pressure - nodes[i]) / (nodes[i + 1] - nodes[i]), 0.0, 1.0)

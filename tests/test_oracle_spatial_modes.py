@@ -241,7 +241,7 @@ def test_a_torque_step_travels_as_a_torsion_wave(share: float) -> None:
 
 
 def _truncated(strength: float, inertia: float) -> float:
-    """Return the sum of the possible contributions of modes from the thirteenth on: 2 F / (m w^2) (1 - cos) each."""
+    """Return a bound on the sum of 2 F / (m w^2) (1 - cos) over the omitted modes, from the thirteenth on."""
     omega = np.pi * SPEED_MPS / LENGTH_M * np.arange(13, 20000)
     return float((2.0 * strength / inertia / omega**2 * 2.0).sum())
 

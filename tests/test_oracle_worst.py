@@ -450,7 +450,7 @@ def going_together(*pairs: tuple[tuple[str, str], float]) -> Spread:
 
 
 def test_corners_follow_correlations() -> None:
-    """Deviations are sqrt(R) times independent scores (SciPy's root), at corners and in a search."""
+    """Correlated deviations are sqrt(R) (SciPy) times independent scores, at corners and in a search."""
     node = design_nodes.node_at(40.0)
     spread = deviating(going_together((("slosh_mass.0", "slosh_mass.1"), 0.8), (("thrust", "inertia"), -0.5)))
     places = deviations_of(spread, node).places

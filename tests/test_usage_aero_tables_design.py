@@ -57,8 +57,9 @@ def along_the_axis(node: Node) -> Node:
 
 @pytest.mark.slow
 def test_derivatives_and_flight_are_those_of_the_slopes(tabulated: Path) -> None:
-    """Derivatives and flight agree within the table's resolution: CN is curved between points, and pchip has own
-    slopes.
+    """Derivatives and flight agree within the table's resolution.
+
+    The tolerances cover the curvature of CN between points and the slopes of pchip.
     """
     for plane in ("pitch", "yaw"):
         both = [nodes_along(loaded(name), [10.0, 30.0, 50.0], plane) for name in (tabulated, "nominal")]  # type: ignore[arg-type]  # one of the two planes

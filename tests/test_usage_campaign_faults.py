@@ -305,7 +305,7 @@ def test_draws_out_of_bounds_are_refused_where_the_file_says_so(tmp_path: Path) 
 
 
 def test_values_that_exclude_each_other_are_drawn_again(tmp_path: Path) -> None:
-    """The inertia of an engine about its gimbal bounds its mass: 46/0.38^2 = 318 kg."""
+    """An engine mass above 46/0.38^2 = 318 kg contradicts its inertia, and is drawn again or rejected."""
     campaign = campaignkit.small(tmp_path, inputs=EXCLUSIVE, runs=40)
     inputs = [campaign.inputs(run, campaign.plan.draw(0, 40)) for run in range(40)]
     masses = [i.recorded["vehicle.stage.0.engine.gimballed_mass_kg"] for i in inputs]

@@ -33,7 +33,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def flown(folder: Path, runs: int, inputs: str) -> list[dict[str, object]]:
-    """Return the rows of a campaign, one of whose runs is also flown again from its folder alone."""
+    """Return the rows of a campaign after repeating its last run from the output folder alone."""
     campaign = campaignkit.small(folder, runs=runs, campaign=SAME_NOISE, inputs=inputs)
     run_campaign(campaign, folder / "out", workers=2)
     for name in ("thrust.csv", "cases.csv", "small.toml"):

@@ -71,7 +71,7 @@ def test_a_name_that_is_neither_a_file_nor_ours(here: Path) -> None:
 
 
 def test_a_file_that_is_nearly_there(here: Path) -> None:
-    """The suggestion is next to the named place, or a built-in file of that name."""
+    """The message suggests a file with a similar path, or one with this name in another folder."""
     for key, asked, meant in (
         ("design", "designs/trail.toml", "designs/trial.toml"),
         ("vehicle", "vehicles/rockte", "vehicles/rocket"),

@@ -32,7 +32,7 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled() -> None:
-    """Compile in advance for all processes of these tests."""
+    """Compile the simulator in advance for all processes of these tests."""
     fly(load_scenario("nominal", ["run.duration_s=0.01"]), log=False)
 
 

@@ -69,7 +69,7 @@ class Cubics:
 
 @lru_cache(maxsize=128)  # a campaign changes the values of tables, and rarely their breakpoints
 def _located(breaks: bytes, xs: bytes) -> tuple[IntArray, Array]:
-    """Return the interval (n,) of each of `xs`, and its distance from the start (n, 1), clamped to the table."""
+    """Return the interval (n,) of each of `xs`, and its distance from the interval's start (n, 1), clamped."""
     b, x = np.frombuffer(breaks), np.frombuffer(xs)
     k = np.clip(np.searchsorted(b, x, side="right") - 1, 0, len(b) - 2)
     return k, (np.clip(x, b[0], b[-1]) - b[k])[:, None]

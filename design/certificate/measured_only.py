@@ -204,7 +204,7 @@ class _Trial:
 
 
 def _trial(held: HeldFlight, path: FixedPath, change: PackedChange, floor_deg: float = 0.0) -> _Trial:
-    """Excite all motions with a doublet, and test if the command grows beyond the level that rounding sustains.
+    """Excite all motions with a doublet, and test whether the command grows beyond the level that rounding sustains.
 
     `floor_deg` is the amplitude of the unaltered loop. Commands that turn the gyro by less than `FLOOR_COUNTS` do not
     count as growth.

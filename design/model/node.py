@@ -336,10 +336,10 @@ def flown_point(point: OperatingPoint) -> Node:
 
 
 def met_by(node: Node, met: Node) -> Node:
-    """Return an operating point with its own vehicle, in the air and at the speed and attitude of `met`.
+    """Return the operating point with its own vehicle, and with the air, speed and attitude of `met`.
 
-    The damping of ring baffles remains that of the operating point. It is lower in the calm air of a design's own
-    flight than in the winds of other flights.
+    The damping of ring baffles remains that of `node`. It is lower in the calm air of a design's own flight than in the
+    winds of other flights.
     """
     return dataclasses.replace(node, condition=dataclasses.replace(met.condition, time_s=node.time_s), trim=met.trim)
 

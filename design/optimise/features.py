@@ -260,7 +260,7 @@ def peaks(mesh: CurveMesh) -> MeshPlaces:
 
 
 def crossings(mesh: CurveMesh) -> MeshPlaces:
-    """Return the changes of sign of arg L - 180 deg and of ln|L| between mesh points, by linear interpolation."""
+    """Return the zeros of arg L - 180 deg and of ln|L|, interpolated linearly between mesh points."""
     curves, loop, log_gain = mesh.curves, mesh.loop, mesh.log_gain
     same = curves.plant[1:] == curves.plant[:-1]
     im, re = loop.imag, loop.real

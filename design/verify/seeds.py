@@ -78,8 +78,8 @@ def _seed(of: str, value: int, declared: int, candidate: int = 0) -> Seed:
 def _declared(baseline: Suite, number: int, wanted: CampaignWanted, flown: LoadedCampaign) -> int:
     """Return the declared seed of a campaign.
 
-    This is the seed of the baseline's campaign at the same position if its vehicle is the same, otherwise that of the
-    shipped file, or the default for a file that is not shipped.
+    This is the seed of the baseline's campaign at the same position if its vehicle is the same. Otherwise, it is that
+    of the shipped file, or the default for another file.
     """
     if number < len(baseline.campaign):
         same = baseline.campaign[number]

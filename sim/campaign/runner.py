@@ -109,7 +109,7 @@ class Interim:
     def settled(self) -> bool:
         """Return True if the verdicts on each requirement and on all requirements together are settled.
 
-        They are verdicts of the any-time test, which are valid under any stopping rule.
+        The verdicts are those of the any-time test, which is valid under any stopping rule.
         """
         n, counts = self._in_order, [*(t.failures_in_order for t in self.tallies), self._failed_in_order]
         return n > 0 and all(judge_failures(count, n, *self._level).judgement != OPEN for count in counts)

@@ -149,7 +149,7 @@ class Columns:
     foreign: Foreign | None = None
 
     def axis_of(self, table: CsvTable) -> str:
-        """Return the independent column of a table, or `axis` if it has none."""
+        """Return the name of the table's independent column: one of `other_axes`, or `axis` by default."""
         return next((name for name in self.other_axes if name in table), self.axis)
 
     @property

@@ -224,8 +224,8 @@ def _geometric(geopotential_m: np.ndarray) -> np.ndarray:
 def _from_pressure(altitude_m: np.ndarray, pressure_hPa: np.ndarray) -> np.ndarray:
     """Return the geometric altitude (levels,), m, for each pressure.
 
-    It is interpolated in ln p between the levels with altitude and pressure. If fewer than two levels have both, it is
-    that of the standard atmosphere.
+    The altitude is interpolated in ln p between the levels with altitude and pressure. With fewer than two such levels,
+    it is that of the standard atmosphere.
     """
     both = np.isfinite(altitude_m) & (pressure_hPa > 0.0)
     pressed = np.where(pressure_hPa > 0.0, pressure_hPa, math.nan)

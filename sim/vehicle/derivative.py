@@ -602,9 +602,9 @@ def thrust_loads(
 ) -> tuple[Vector, Vector, Load]:
     """Return the loads of the thrust along the deflected engines on the bent body.
 
-    `share` is an injected thrust relative to that of the engines. Returns the force and the moment about the core CG,
-    in B, and the load on the modes at the first station of gimbals. Loads at other stations are added to the modes
-    directly. `outer_spatial_load` adds the moment due to the displacement by spatial modes.
+    They are the force and the moment about the core CG, in B, and the load on the modes at the first gimbal station.
+    Loads at other stations are added to the modes directly. `share` is an injected thrust relative to that of the
+    engines. `outer_spatial_load` adds the moment due to the displacement by spatial modes.
     """
     strength = (1.0 + share) * thrust(vehicle.engine, 0, properties[sch.THRUST_VACUUM], aux.air.pressure_Pa)
     pushed = strength

@@ -113,7 +113,7 @@ def real_roots(p: list[mpf], low: mpf, high: mpf) -> list[mpf]:
 
 
 def _along_circle(n: list[mpf], q: list[mpf]) -> tuple[list[mpf], list[mpf]]:
-    """Return both polynomials in y = cos t, in rising powers."""
+    """Return |N|^2 - |D|^2 and Im N D* / sin t as polynomials in y = cos t, in rising powers."""
     length = len(q)
 
     def lag(u: list[mpf], v: list[mpf], k: int) -> mpf:

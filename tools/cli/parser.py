@@ -117,7 +117,7 @@ class Parser(argparse.ArgumentParser):
     def about_itself(self, listed: dict[str, str] | None = None) -> None:
         """Declare the options of every command, and --list if there are built-in files to list.
 
-        `listed` maps the kind of the files to the title above them.
+        `listed` maps each kind of file to the title of its list.
         """
         self._kinds = listed
         if listed is not None:

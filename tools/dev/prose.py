@@ -251,7 +251,7 @@ def complaints(found: dict[str, list[Finding]], recorded: dict[str, int]) -> lis
 
 
 def lower(record: str, found: dict[str, list[Finding]], recorded: dict[str, int]) -> str:
-    """Return the text of the record with the numbers that have decreased updated."""
+    """Return the text of the record with the decreased numbers updated."""
     for kind, findings in found.items():
         if len(findings) < recorded[kind]:
             record = re.sub(rf"(?m)^{kind} = \d+", f"{kind} = {len(findings)}", record)

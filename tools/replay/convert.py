@@ -177,8 +177,8 @@ def seen_of(part_s: tuple[float, float], span_s: tuple[float, float]) -> tuple[f
 def parts_of(flights: Sequence[ReplayFlight], span_s: tuple[float, float]) -> dict[str, tuple[float, float]]:
     """Return the parts of the flight by name, as time spans (s), with the whole flight last.
 
-    If all flights have the same number of separations, the other parts are the stages. Otherwise, the only other part
-    is the powered flight, and it is omitted if it is nearly the whole flight.
+    The other parts are the stages if all flights have the same number of separations. Otherwise, the only other part is
+    the powered flight, which is omitted if it is nearly the whole flight.
     """
     whole = {"Whole flight": span_s}
     parted = [[m.time_s for m in f.moments if m.name == "separation"] for f in flights]

@@ -59,7 +59,7 @@ def ring(mass_kg: float, front_m: float, rear_m: float, radius_m: float) -> Rod:
 
 @dataclass(frozen=True)
 class MassProperties:
-    """The mass properties about the CG in body axes, which is on the axis.
+    """The mass properties in body axes about the CG, which is on the body axis.
 
     Liquids are frozen: they do not slosh. Only the share `roll_share` of a liquid rotates about the roll axis.
     """

@@ -209,7 +209,7 @@ def _hashes(record: dict[str, Any], prepared: Prepared, found: Findings) -> bool
 
 
 def _results(pack: Pack, most: int, draw: random.Random, found: Findings, progress: Progress) -> None:
-    """Derive the record of the pack again from its results, and compute a sample of the results again."""
+    """Derive the record of the pack from its results, and repeat the computation of a sample of the results."""
     job, files = pack.prepared.parts(PartsOnDisk(None), progress.show, 1), pack.record["files"]
     places = [campaign_folder(pack.folder, n) for n in range(len(pack.prepared.loaded.suite.campaign))]
     parts = [path for place in places for path in (place / MANIFEST, *(part.path for part in parts_in(place)))]
@@ -366,7 +366,7 @@ def _is_command(words: Sequence[str], prepared: Prepared) -> bool:
 
 
 def _by_name(rows: Sequence[dict[str, Any]], replaced: bool) -> dict[str, Any]:
-    """Return requirements by name and part, numbered if names repeat, with their commands split into words.
+    """Return requirements by name and part, with repeated names numbered and commands split into words.
 
     The commands are None if the user `replaced` inputs.
     """

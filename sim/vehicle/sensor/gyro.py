@@ -105,7 +105,7 @@ def outputs_after_fault(faults: Array, lost: int, y: Array, first: int) -> Vecto
 
 @kernel
 def gyro_derivative(g: Gyro, y: Array, first: int, sensed: Vector, faults: Array, dy: Array) -> None:
-    """Write the derivatives of the states (two per axis from y[first] on) and of the angle integrals that follow."""
+    """Write the derivatives of the gyro states (two per axis, from y[first] on) and of the angle integrals."""
     for axis in range(3):
         output = lagged(g, y, first + 2 * axis, sensed[axis], dy)
         dy[first + 6 + axis] = output if g.ideal == 1 else after_fault(faults, GYRO_LOST + axis, output)

@@ -102,7 +102,7 @@ class Coupled:
         return -per_force @ pull, pull
 
     def _beside(self, plane: Equations) -> Array:
-        """Return the distances of the hinges from the axis at the held deflection (tanks,)."""
+        """Return the lateral displacements of the hinges at the held modal coordinates (tanks,)."""
         return np.asarray(self.held @ plane.vehicle.modes.phi_hinge[: self.shared])
 
     def state_space(self) -> StateSpace:
