@@ -39,7 +39,7 @@ def row(fault: PlantedFault, found: NodeCertificate) -> str:
     k = int(np.argmax(np.where(np.array(r.reason) == INCOHERENT, 0.0, share))) if len(share) else 0
     worst = f"{db[k]:+.2f}, {deg[k]:+.1f}, {r.lines_hz[k]:.3g}" if r.faulty else "-"
     name = fault.name if found.unexplained else f"**MISSED:** {fault.name}"
-    return f"| {name} | {fault.where} | {len(r.faulty)} | {worst} | {', '.join(off) or '-'} |"
+    return f"| {name} | {len(r.faulty)} | {worst} | {', '.join(off) or '-'} |"
 
 
 def main() -> int:
@@ -51,10 +51,10 @@ def main() -> int:
         found = list(pool.map(lambda fault: certify_node(loaded, node, fault=fault.plant), FAULTS))
     missed = [fault.name for fault, f in zip(FAULTS, found, strict=True) if not f.unexplained]
     table = [
-        f"| fault | coupling | lines off, of {len(sound.responses.lines_hz)} | worst line: dB, deg, Hz | margins off |",
-        "|---|---|---|---|---|",
+        f"| fault | lines off, of {len(sound.responses.lines_hz)} | worst line: dB, deg, Hz | margins off |",
+        "|---|---|---|---|",
         *(row(fault, f) for fault, f in zip(FAULTS, found, strict=True)),
-        f"| {'none' if sound.agrees else '**FALSE ALARM:** none'} | | {len(sound.responses.faulty)} | - | - |",
+        f"| {'none' if sound.agrees else '**FALSE ALARM:** none'} | {len(sound.responses.faulty)} | - | - |",
     ]
     rewrite(VERIFICATION, "faults", "\n".join(table))
     print("\n".join(table))
