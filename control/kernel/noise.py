@@ -18,7 +18,7 @@ from maxq.control.kernel.jit import kernel, routine
 
 # Streams in use, so that no two components share a sequence: 1 turbulence, 16 to 18 the three axes of the gyro
 # (GYRO_STREAM in sim/vehicle/sensor/gyro.py), 32 to 51 further sensors (SENSOR_STREAM in
-# sim/vehicle/sensor/further.py).
+# sim/vehicle/sensor/further.py), 64 to 69 GNSS, 70 barometer, 72 to 74 magnetometer.
 TURBULENCE_STREAM = 1
 
 _MASK = 0xFFFFFFFF

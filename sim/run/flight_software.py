@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import math
 import os
 import signal
 import weakref
@@ -17,17 +18,36 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from maxq.control.external import ABI, BAD_THRUSTER, CRASHED, NOT_FINITE, STUCK
+from maxq.control.external import (
+    ABI,
+    ABORTED,
+    BAD_SEPARATION,
+    BAD_THROTTLE,
+    BAD_THRUSTER,
+    BAD_TURN,
+    CRASHED,
+    EARLY,
+    NOT_FINITE,
+    SEPARATIONS,
+    STUCK,
+    THROTTLE,
+    TOO_MANY,
+)
+from maxq.sim.flight.parameters import MAX_IGNITIONS
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.guard import MEMORY, STARTING, Arrays, Worker, advance_to, instance_for, time_limit_s, worker_for
 from maxq.sim.run.held_code import CodeWindows, load_kernels
-from maxq.sim.run.instances import Inputs, Instance, Outputs, Setup, Unusable
+from maxq.sim.run.instances import Instance, Setup, Unusable
 from maxq.sim.scenario.flight_code import code_hash
 from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_launch import OrbitTarget
 from maxq.sim.scenario.schema_vehicle import ComputerSection
+from maxq.sim.vehicle.block import R_I, V_I
+from maxq.sim.world.earth import J2
 
 KEY = "vehicle.computer"
-_COMMANDS = ("gimbal_rad[0], pitch", "gimbal_rad[1], yaw", "roll_gimbal_rad")
+_COMMANDS = ("gimbal_rad[0], pitch", "gimbal_rad[1], yaw", "roll_gimbal_rad", "cutoff_delay_s", "commanded_q_BR")
+_RANGES = ("not a finite number, or beyond 1e6 rad",) * 3 + ("not from 0 to 1000 s", "not finite, or beyond 1e6")
 
 
 def title(computer: ComputerSection) -> str:
@@ -74,20 +94,48 @@ def checked(loaded: LoadedScenario) -> ComputerSection:
     return computer
 
 
-def setup_of(computer: ComputerSection, packed_computer: Any, start_ns: int) -> Setup:
-    return Setup(
+def setup_of(loaded: LoadedScenario, parameters: Any, memory: Any, y: Any) -> Setup:
+    """Return the setup of a flight at its start: its records Parameters (stages,) and Memory, and its state `y`."""
+    computer, first, stages = loaded.vehicle.computer, parameters[0], loaded.vehicle.stage
+    assert computer is not None
+    packed, earth, gnss = first.computer, first.environment.earth, loaded.vehicle.gnss
+    setup = Setup(
         ctypes.sizeof(Setup),
         ABI,
-        int(packed_computer.sample_ns),
-        int(packed_computer.delay_ns),
-        start_ns,
-        int(packed_computer.allocation.groups),
-        float(packed_computer.converter.count_rad),
-        float(packed_computer.dac_step_rad),
-        float(packed_computer.command_limit_rad),
-        float(packed_computer.angle_error_limit_rad),
+        int(packed.sample_ns),
+        int(packed.delay_ns),
+        int(memory.clock.now_ns),
+        int(packed.allocation.groups),
+        float(packed.converter.count_rad),
+        float(packed.dac_step_rad),
+        float(packed.command_limit_rad),
+        float(packed.angle_error_limit_rad),
         computer.settings.encode(),
+        int(first.timeline.sequenced),
+        len(stages),
+        earth_rate_radps=float(earth.rate_radps),
+        mu_m3ps2=float(earth.mu_m3ps2),
+        j2=float(earth.j2) if earth.gravity == J2 else 0.0,
+        equator_m=float(earth.equatorial_radius_m),
     )
+    setup.start_q_RI[:] = memory.truth.start_q_BI.tolist()
+    errors = memory.navigation
+    setup.start_r_I_m[:] = (y[R_I : R_I + 3] + errors.position_m).tolist()
+    setup.start_v_I_mps[:] = (y[V_I : V_I + 3] + errors.velocity_mps).tolist()
+    force = stages[0].accelerometer
+    if gnss is not None and force is not None:
+        setup.gnss_lever_B_m[:] = (force.station_m - gnss.station_m, *gnss.offset_m)
+    return setup
+
+
+def _aim(loaded: LoadedScenario, inputs: Any) -> None:
+    """Write the target orbit of the scenario into the inputs of flight code."""
+    target = next((end for end in reversed(loaded.scenario.guidance.ends) if isinstance(end, OrbitTarget)), None)
+    inputs.target_inclination_rad = -1.0
+    if target is not None:
+        inputs.target_perigee_m, inputs.target_apogee_m = target.perigee_altitude_m, target.apogee_altitude_m
+        if target.inclination_deg is not None:
+            inputs.target_inclination_rad = math.radians(target.inclination_deg)
 
 
 class FlightSoftware:
@@ -97,7 +145,7 @@ class FlightSoftware:
         self._held = held
         if held is not None:
             load_kernels()
-        self._label, self._computer = loaded.label, checked(loaded)
+        self._loaded, self._label, self._computer = loaded, loaded.label, checked(loaded)
         self._guarded = guards(loaded)
         self._worker: Worker | None = None
         self._instance: Instance | None = None
@@ -110,9 +158,9 @@ class FlightSoftware:
         The arrays of a guarded flight are in shared memory. Raises ScenarioError if the code cannot be started.
         """
         memory = arrays[MEMORY][0]
-        setup = setup_of(self._computer, arrays[0][0].computer, int(memory.clock.now_ns))
+        setup = setup_of(self._loaded, arrays[0], memory, arrays[3])
         state = memory.computer.external
-        state.inputs.bytes, state.outputs.bytes = ctypes.sizeof(Inputs), ctypes.sizeof(Outputs)
+        _aim(self._loaded, state.inputs)
         self._arrays = arrays
         try:
             if self._guarded:
@@ -126,7 +174,7 @@ class FlightSoftware:
             else:
                 self._instance = instance_for(self._computer, setup, self._held, state)
                 self._end = weakref.finalize(self, self._instance.close)
-                state.step, state.instance, state.inside = self._instance.step, self._instance.address, 0
+                self._instance.connect(state)
         except Unusable as error:
             where = f"{KEY}.{self._computer.code_keys[0]}"
             raise ScenarioError(self._label, str(error), where, value=title(self._computer)) from None
@@ -156,14 +204,32 @@ class FlightSoftware:
             return self._said
         during = {0: "between two samples", 1: "in its step", STARTING: "at its start"}[int(state.inside)]
         if fault == NOT_FINITE:
-            return f"gave {_COMMANDS[code]}: not a finite number, or beyond 1e6 rad"
+            return f"gave {_COMMANDS[code]}: {_RANGES[code]}"
         if fault == BAD_THRUSTER:
             return f"gave roll_thruster = {code}: allowed is -1, 0 or 1"
+        if fault == BAD_TURN:
+            return f"gave turn_thruster = {code}: allowed is -1, 0 or 1"
+        if fault in (BAD_SEPARATION, EARLY):
+            return self._of_separation(fault, code)
+        if fault == ABORTED:
+            return f"aborted the flight with abort = {code}"
+        if fault == BAD_THROTTLE:
+            return f"gave throttle: allowed is 0, or {THROTTLE[0]:g} to {THROTTLE[1]:g}"
+        if fault == TOO_MANY:
+            return f"commanded more than {MAX_IGNITIONS} ignitions"
         if fault == CRASHED:
             return f"crashed {during}: {_signal_name(code)}"
         if fault == STUCK:
             return f"did not return within {time_limit_s(self._computer, int(state.inside)):g} s {during}"
         return self._said or f"its step returned {code}"
+
+    def _of_separation(self, fault: int, code: int) -> str:
+        """Return the message for a separation that the vehicle does not allow at this time."""
+        parameters, stage = self._arrays[0], int(self._arrays[MEMORY][0].clock.stage)
+        due = SEPARATIONS[int(parameters[stage].timeline.separates)] or "no separation"
+        if fault == BAD_SEPARATION:
+            return f"commanded {SEPARATIONS[code]} in stage {stage + 1}: allowed is {due}"
+        return f"commanded {due} in stage {stage + 1} before the tables of stage {stage + 2} begin"
 
 
 def _signal_name(code: int) -> str:

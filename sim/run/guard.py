@@ -262,7 +262,7 @@ class _Flying:
             self._instance = instance_for(self._computer, Setup.from_buffer_copy(setup), held, state)
         except Unusable as error:
             return False, str(error) or type(error).__name__
-        state.step, state.instance, state.inside = self._instance.step, self._instance.address, 0
+        self._instance.connect(state)
         return True, ""
 
     def _advance(self, order: bytes) -> tuple[bool, str]:

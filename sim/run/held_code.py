@@ -221,6 +221,7 @@ class HeldCode(Instance):
         if self._computer.python is not None:
             _forget_modules(Path(self._computer.python.file).parent)
         self._instance = started(self._computer, Setup.from_buffer_copy(self._held.tape.setup))
+        self.version = self._instance.version
         self._step_of = StepFunction(self._instance.step)
 
     def _answers(self, inputs: Records) -> Array:

@@ -28,7 +28,7 @@ from types import ModuleType
 from typing import Any
 from urllib.parse import urlsplit
 
-from maxq.control.external import ABI, FswInputs, FswOutputs
+from maxq.control.external import ABI, FIRST_OF_VERSION_2, FswInputs, FswOutputs
 from maxq.control.kernel.records import dtype_of
 from maxq.sim.scenario.flight_code import SETTINGS_BYTES, CodeFile
 from maxq.sim.scenario.schema_vehicle import ComputerSection
@@ -64,7 +64,30 @@ class Setup(ctypes.Structure):
             for name in ("count_rad", "dac_step_rad", "command_limit_rad", "angle_error_limit_rad")
         ),
         ("settings", ctypes.c_char * (SETTINGS_BYTES + 1)),
+        *((name, ctypes.c_int64) for name in ("sequencing", "stages")),
+        ("start_q_RI", ctypes.c_double * 4),
+        *((name, ctypes.c_double * 3) for name in ("start_r_I_m", "start_v_I_mps", "gnss_lever_B_m")),
+        *((name, ctypes.c_double) for name in ("earth_rate_radps", "mu_m3ps2", "j2", "equator_m")),
     ]
+
+
+_OF_VERSION_1 = {
+    Setup: Setup.sequencing.offset,
+    Inputs: getattr(Inputs, FIRST_OF_VERSION_2["inputs"]).offset,
+    Outputs: getattr(Outputs, FIRST_OF_VERSION_2["outputs"]).offset,
+}
+
+
+def size_of(struct: Any, version: int) -> int:
+    """Return the size of a struct in a version of maxq_fsw.h, bytes."""
+    return ctypes.sizeof(struct) if version == ABI else _OF_VERSION_1[struct]
+
+
+def setup_for(setup: Setup, version: int) -> Setup:
+    """Return the setup for code of a version of maxq_fsw.h."""
+    out = Setup.from_buffer_copy(setup)
+    out.bytes, out.abi = size_of(Setup, version), version
+    return out
 
 
 class Unusable(Exception):
@@ -75,12 +98,18 @@ class Instance(ABC):
     """A running instance of flight code.
 
     `step` is the address of the C function that the flight calls, and `address` that of its first argument. `error` is
-    the message of the first error, or empty.
+    the message of the first error, or empty. `version` is that of maxq_fsw.h which the code uses.
     """
 
     step: int
     address = 0
     error = ""
+    version = ABI
+
+    def connect(self, state: Any) -> None:
+        """Write the addresses and the sizes of the structs into `state`, the ExternalState of a flight."""
+        state.step, state.instance, state.inside = self.step, self.address, 0
+        state.inputs.bytes, state.outputs.bytes = size_of(Inputs, self.version), size_of(Outputs, self.version)
 
     @abstractmethod
     def close(self) -> None:
@@ -107,15 +136,16 @@ class _Library(Instance):
         library.maxq_fsw_bytes.restype = ctypes.c_int64
         library.maxq_fsw_close.restype = None
         made_for, size = library.maxq_fsw_abi(), library.maxq_fsw_bytes()
-        if made_for != ABI:
-            raise Unusable(f"is made for version {made_for} of maxq_fsw.h, this is version {ABI}")
+        if not 1 <= made_for <= ABI:
+            raise Unusable(f"is made for version {made_for} of maxq_fsw.h, allowed are versions 1 to {ABI}")
+        self.version = made_for
         if not 0 <= size <= _MOST_BYTES:
             raise Unusable(f"wants {size} bytes for an instance, allowed are 0 to {_MOST_BYTES}")
         self._library = library
         self._memory = ctypes.create_string_buffer(size + _ALIGNMENT)
         start = ctypes.addressof(self._memory)
         self.address = start + -start % _ALIGNMENT
-        refused = library.maxq_fsw_init(ctypes.c_void_p(self.address), ctypes.byref(setup))
+        refused = library.maxq_fsw_init(ctypes.c_void_p(self.address), ctypes.byref(setup_for(setup, made_for)))
         if refused:
             raise Unusable(f"maxq_fsw_init returned {refused}")
         self.step = ctypes.cast(library.maxq_fsw_step, ctypes.c_void_p).value or 0
@@ -173,6 +203,7 @@ class _PythonClass(_InPython):
             if not callable(getattr(found, "step", None)):
                 raise Unusable(f"{code.member} has no method step")
             self._object = found(setup)
+            self.version = int(getattr(self._object, "interface", 1))
         except Unusable:
             raise
         except BaseException as error:
@@ -233,8 +264,9 @@ class _Remote(_InPython):
     Over UDP, a message is a datagram. Answers to earlier messages are ignored, and lost messages are not sent again.
     """
 
-    def __init__(self, address: str, timeout_s: float, setup: Setup) -> None:
+    def __init__(self, address: str, timeout_s: float, setup: Setup, version: int) -> None:
         super().__init__()
+        self.version = version
         parts, self._number, self._timeout_s = urlsplit(address), 0, timeout_s
         self._stream = parts.scheme == "tcp"
         place = (parts.hostname or "", parts.port or 0)
@@ -246,7 +278,7 @@ class _Remote(_InPython):
                 family = socket.AF_INET6 if ":" in place[0] else socket.AF_INET
                 self._socket = socket.socket(family, socket.SOCK_DGRAM)
                 self._socket.connect(place)
-            code, _ = self._ask(SETUP, bytes(setup), 0)
+            code, _ = self._ask(SETUP, bytes(setup_for(setup, version))[: size_of(Setup, version)], 0)
         except OSError as error:
             raise Unusable(self._said(error)) from None
         if code:
@@ -254,7 +286,8 @@ class _Remote(_InPython):
 
     def answer(self, inputs: Any, outputs: Any) -> int:
         try:
-            code, content = self._ask(STEP, bytes(inputs), ctypes.sizeof(Outputs))
+            given = bytes(inputs)[: size_of(Inputs, self.version)]
+            code, content = self._ask(STEP, given, size_of(Outputs, self.version))
         except OSError as error:
             self.error = self._said(error)
             return 1
@@ -318,8 +351,14 @@ def described(error: BaseException) -> str:
 
 def started(computer: ComputerSection, setup: Setup) -> Instance:
     """Return a running instance of the flight code of `computer`. Raises Unusable if it cannot be started."""
+    found: Instance
     if computer.library is not None:
-        return _Library(computer.library, setup)
-    if computer.python is not None:
-        return _PythonClass(computer.python, setup)
-    return _Remote(computer.address or "", computer.timeout_s, setup)
+        found = _Library(computer.library, setup)
+    elif computer.python is not None:
+        found = _PythonClass(computer.python, setup)
+    else:
+        found = _Remote(computer.address or "", computer.timeout_s, setup, computer.interface or 1)
+    if computer.sequences and found.version < 2:
+        found.close()
+        raise Unusable(f"is made for version {found.version} of maxq_fsw.h: sequencing = 'flight-code' needs version 2")
+    return found
