@@ -213,8 +213,8 @@ def true_antenna(flight: Flight, times: np.ndarray) -> tuple[np.ndarray, np.ndar
     r = columns(flight, "r_I_{}_m", "xyz")[rows] + np.einsum("nij,nj->ni", to_I, arm)
     v = columns(flight, "v_I_{}_mps", "xyz")[rows] + np.einsum("nij,nj->ni", to_I, np.cross(w, arm))
     v = v - np.cross([0.0, 0.0, rate], r)
-    turned = [np.stack([np.cos(a) * x + np.sin(a) * y, np.cos(a) * y - np.sin(a) * x, z], axis=1)
-              for a in (rate * times,) for x, y, z in (r.T, v.T)]  # fmt: skip
+    c, s = np.cos(rate * times), np.sin(rate * times)
+    turned = [np.stack([c * x + s * y, c * y - s * x, z], axis=1) for x, y, z in (r.T, v.T)]
     return turned[0], turned[1]
 
 
@@ -384,7 +384,7 @@ def test_code_of_version_1_cannot_command_the_sequence(tmp_path: Path) -> None:
     old = compiled(tmp_path, tmp_path / "pd_law.c", "pd_law")
     with pytest.raises(ScenarioError, match=r"version 1 of maxq_fsw\.h: sequencing = 'flight-code' needs version 2"):
         sequenced(old)
-    with pytest.raises(ScenarioError, match="sequencing = flight-code: the design commands no sequence"):
+    with pytest.raises(ScenarioError, match="the design commands no sequence"):
         load_scenario("nominal", ["vehicle.computer.sequencing=flight-code"])
 
 
@@ -410,6 +410,40 @@ def _compile(out: Path) -> None:
     compiled(out, EXAMPLES / "orbit" / "flight_computer.c", "flight_computer", *flags)
 
 
+@pytest.mark.slow
+@needs_compiler
+def test_the_flight_computer_behind_a_socket_flies_the_same_bits(tmp_path: Path) -> None:
+    """Link it with computer.c, and fly the first stage in lock-step."""
+    sources = [EXAMPLES / "orbit" / "flight_computer.c"]
+    sources += [flight_computer().parent / "law" / name for name in ("flight_law.c", "flight_law_tables.c")]
+    flags = ["-I", str(EXAMPLES / "orbit"), "-I", str(flight_computer().parent / "law"), *map(str, sources)]
+    program = compiled(tmp_path, EXAMPLES / "computer.c", "computer", *flags, program=True)
+    with subprocess.Popen([program, "tcp", "0"], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            there = flies(address=f"tcp://127.0.0.1:{process.stdout.readline().strip()}", interface=2)
+            given = ["requirement=", ORBIT, *RECEIVERS, "vehicle.computer.sequencing=flight-code", *there]
+            flight = fly(load_scenario(folder() / "scenario.toml", [*given, "run.duration_s=30"]), log=False)
+        finally:
+            process.kill()
+    assert flight.state_hash == computer_flight("run.duration_s=30").state_hash
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_the_flight_computer_in_python_flies_as_that_in_c() -> None:
+    """Compare the first 20 s, with the pitch-over, where both laws command the same angles."""
+    design = folder() / "design.toml"
+    code = flies(
+        python=f"{EXAMPLES}/orbit/flight_computer.py:Computer", sequencing="flight-code", data=design, settings=design
+    )
+    more = ["requirement=", ORBIT, *RECEIVERS, "run.duration_s=20"]
+    flight = fly(load_scenario(folder() / "scenario.toml", [*code, *more]))
+    other = computer_flight("run.duration_s=20", log=True)
+    assert np.abs(flight["gimbal_pitch_command_deg"] - other["gimbal_pitch_command_deg"]).max() < 0.02
+    assert flight["altitude_m"][-1] == pytest.approx(other["altitude_m"][-1], abs=0.1)
+
+
 def computer_flight(*more: str, log: bool = False) -> Flight:
     code = flies(library=flight_computer(), sequencing="flight-code")
     return fly(load_scenario(folder() / "scenario.toml", ["requirement=", ORBIT, *code, *RECEIVERS, *more]), log=log)
@@ -421,9 +455,8 @@ def test_the_flight_computer_flies_petrel_from_pad_to_orbit() -> None:
     """Reach the orbit of the built-in guidance with GNSS errors, and repeat the flight bit for bit."""
     flight = computer_flight(log=True)
     metrics = flight.metrics
-    assert [e.name for e in flight.events] == [
-        "ignition", "liftoff", "burnout", "separation", "ignition", "separation", "burnout"
-    ]  # fmt: skip
+    names = "ignition liftoff burnout separation ignition separation burnout"
+    assert [e.name for e in flight.events] == names.split()
     assert abs(metrics["cutoff_perigee_error_m"]) < 50.0
     assert abs(metrics["cutoff_apogee_error_m"]) < 200.0
     built_in = fly(load_scenario(folder() / "scenario.toml", ["requirement=", ORBIT]), log=False)
@@ -454,8 +487,8 @@ def test_gnss_errors_outage_and_false_positions_leave_an_orbit() -> None:
         "{kind='gnss-bias',at_s=300.0,until_s=320.0,position_bias_m=[3000.0,0.0,0.0]}]"
     ]
     flight = computer_flight(*NOISY, *faults)
-    assert abs(flight.metrics["cutoff_perigee_error_m"]) < 2000.0
-    assert abs(flight.metrics["cutoff_apogee_error_m"]) < 5000.0
-    assert flight.final["monitor_8"] >= 190  # rejected solutions
+    assert abs(flight.metrics["cutoff_perigee_error_m"]) < 50.0
+    assert abs(flight.metrics["cutoff_apogee_error_m"]) < 200.0
+    assert flight.final["monitor_8"] == 200.0  # the rejected solutions are those of the false positions
     blind = computer_flight(*NOISY, "fault=[{kind='gnss-outage',at_s=0.0}]")
-    assert abs(blind.metrics["cutoff_apogee_error_m"]) > 2.0 * abs(flight.metrics["cutoff_apogee_error_m"])
+    assert abs(blind.metrics["cutoff_apogee_error_m"]) > 5000.0  # of the accelerometer's bias
