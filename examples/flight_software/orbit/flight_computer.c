@@ -1,25 +1,35 @@
 /* The whole flight computer of the launcher petrel: navigation, guidance, sequence and control, from pad to orbit.
  *
- *   simvehicle petrel.toml --out petrel             # docs/flight-software.md: a layout with an accelerometer
- *   simdesign export petrel/design.toml --c law     # the control law
- *   cc -std=c99 -O2 -ffp-contract=off -shared -fPIC -I. -Ilaw -o libflight_computer.so flight_computer.c \
+ *   sed '/^gyro_station_m/a accelerometer_station_m = 6.8' ../../../scenarios/layouts/petrel.toml > petrel.toml
+ *   simvehicle petrel.toml --out petrel
+ *   simdesign export petrel/design.toml --scenario petrel/scenario.toml --c law
+ *   cc -std=c99 -O2 -ffp-contract=off -shared -fPIC -Ilaw -o libflight_computer.so flight_computer.c \
  *       law/flight_law.c law/flight_law_tables.c -lm
+ *   simrun petrel/scenario.toml --set vehicle.computer.law=external --set vehicle.computer.sequencing=flight-code \
+ *       --set vehicle.computer.library=./libflight_computer.so --set 'vehicle.gnss={station_m=3.0}' \
+ *       --set 'guidance.orbit={perigee_altitude_m=250e3, apogee_altitude_m=300e3, isp_s=343.0}'
  *
- * The key settings may contain "programme": the attitude is then that of the scenario's programme, and the engine burns
- * until its propellant is consumed.
+ * If the key settings contains "programme", the attitude is that of the scenario's programme, and the engine burns until
+ * its propellant is consumed.
  */
 #include "flight_law.h"
 #include "flight_law_tables.h"
 #include "guidance.h"
 
-#define PITCH_OVER_s 6.0
-#define PITCH_OVER_LENGTH_s 7.0
-#define PITCH_OVER_rad 0.069
+#define PITCH_FIRST_s 5.0 /* of the table of the first stage */
+#define PITCH_EVERY_s 5.0
 #define TURN_RATE_radps 0.0524 /* limit of the commanded attitude */
 #define SEPARATION_s 1.0       /* after the burnout of the first stage */
 #define IGNITION_s 2.0         /* of the second stage, after the separation */
 #define FAIRING_s 39.87        /* after this ignition */
 #define EXHAUST_mps (343.0 * 9.80665)
+#define DEG 57.29577951308232
+
+/* Pitch from the vertical, deg: a gravity turn without wind. In wind, a turn along the velocity would not keep its path. */
+static const double pitch_deg[] = {
+    0.0, 1.85, 3.70, 5.97, 8.79, 11.87, 15.08, 18.35, 21.61, 24.84, 27.98, 31.00, 33.86, 36.54, 39.02, 41.30, 43.39, 45.30,
+    47.04, 48.62, 50.05, 51.35, 52.53, 53.60
+};
 
 enum { PAD, FIRST_STAGE, BURNED_OUT, SEPARATED, SECOND_STAGE, CUT_OFF };
 
@@ -128,22 +138,21 @@ static void turn_towards(computer *c, const double u[3], double limit_rad)
 /* The commanded attitude of this sample. */
 static void steer(computer *c, const maxq_fsw_inputs *in)
 {
-    const double h = 1e-9 * (double)c->setup.sample_ns, x = (in->time_s - PITCH_OVER_s) / PITCH_OVER_LENGTH_s;
-    double u[3], spin[3];
+    const int last = (int)(sizeof pitch_deg / sizeof *pitch_deg) - 1;
+    const double h = 1e-9 * (double)c->setup.sample_ns;
+    const double place = fmin(fmax((in->time_s - PITCH_FIRST_s) / PITCH_EVERY_s, 0.0), (double)last);
+    const int k = place < last ? (int)place : last - 1;
+    double u[3], half;
     if (c->programme) {
         memcpy(c->q_CR, in->commanded_q_BR, sizeof c->q_CR);
     } else if (c->phase == SECOND_STAGE) {
         if (c->lit && guide(&c->orbit, &c->setup, &c->nav, in, u)) {
             turn_towards(c, u, TURN_RATE_radps * h);
         }
-    } else if (c->phase < SEPARATED && x > 0.0 && x < 1.0) {
-        const double by[3] = {0.0, -PITCH_OVER_rad / PITCH_OVER_LENGTH_s * (1.0 - cos(6.283185307179586 * x)) * h, 0.0};
-        turn(c->q_CR, by);
-    } else if (c->phase == FIRST_STAGE && x >= 1.0) {
-        ground(&c->setup, c->nav.r, spin);
-        add_scaled(c->nav.v, -1.0, spin, u);
-        unit(u);
-        turn_towards(c, u, TURN_RATE_radps * h);
+    } else if (c->phase < SEPARATED) {
+        half = -0.5 * (pitch_deg[k] + (place - k) * (pitch_deg[k + 1] - pitch_deg[k])) / DEG;
+        c->q_CR[0] = cos(half);
+        c->q_CR[2] = sin(half);
     }
 }
 

@@ -15,7 +15,33 @@ from pathlib import Path
 
 LIFTOFF, SEPARATED = 1, (2, 4)  # bits of `discretes`
 PAD, FIRST_STAGE, BURNED_OUT, WAITING, SECOND_STAGE, CUT_OFF = range(6)
-PITCH_OVER_S, PITCH_OVER_LENGTH_S, PITCH_OVER_RAD, TURN_RATE_RADPS = 6.0, 7.0, 0.069, 0.0524
+PITCH_DEG = (
+    0.0,
+    1.85,
+    3.70,
+    5.97,
+    8.79,
+    11.87,
+    15.08,
+    18.35,
+    21.61,
+    24.84,
+    27.98,
+    31.00,
+    33.86,
+    36.54,
+    39.02,
+    41.30,
+    43.39,
+    45.30,
+    47.04,
+    48.62,
+    50.05,
+    51.35,
+    52.53,
+    53.60,
+)  # every 5 s from 5 s on, from the vertical: a gravity turn without wind
+TURN_RATE_RADPS = 0.0524
 SEPARATION_S, IGNITION_S, FAIRING_S, EXHAUST_MPS = 1.0, 2.0, 39.87, 343.0 * 9.80665
 GNSS_POSITION_M, GNSS_VELOCITY_MPS, DRIFT_M2PS3, GATE, HISTORY = 5.0, 0.1, 1e-4, 6.0, 64
 STEPS, SLOPE_S, ENDING_S = 24, 100.0, 8.0
@@ -389,15 +415,13 @@ class Computer:
         return out
 
     def steer(self, i):
-        x = (i.time_s - PITCH_OVER_S) / PITCH_OVER_LENGTH_S
-        u = None
+        place = min(max((i.time_s - 5.0) / 5.0, 0.0), len(PITCH_DEG) - 1.0)
+        k, u = min(int(place), len(PITCH_DEG) - 2), None
         if self.phase == SECOND_STAGE and self.lit:
             u = self.orbit.step(i, self.h)
-        elif self.phase < WAITING and 0.0 < x < 1.0:
-            rate = -PITCH_OVER_RAD / PITCH_OVER_LENGTH_S * (1.0 - math.cos(2.0 * math.pi * x))
-            self.command = turned(self.command, (0.0, rate * self.h, 0.0))
-        elif self.phase == FIRST_STAGE and x >= 1.0:
-            u = unit(added(self.nav.v, -1.0, self.nav.ground(self.nav.r)))
+        elif self.phase < WAITING:
+            half = -0.5 * math.radians(PITCH_DEG[k] + (place - k) * (PITCH_DEG[k + 1] - PITCH_DEG[k]))
+            self.command = (math.cos(half), 0.0, math.sin(half), 0.0)
         if u is None:
             return
         own = rotate(conjugate(product(tuple(self.s.start_q_RI), self.command)), u)

@@ -1,4 +1,4 @@
-/* Guidance: vertical rise, pitch-over and gravity turn; then the linear tangent law to the target orbit.
+/* Guidance of the second stage: the linear tangent law to the target orbit.
  *
  * The direction of thrust is u(t) = unit(x + (a + b s) z + (c + d s) n) (Bryson & Ho, Applied Optimal Control, 2.7). Once
  * per second, Newton's method on a numerical prediction of the burn solves for a, b, c, d and the time to go, so that the
