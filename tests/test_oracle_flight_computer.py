@@ -516,7 +516,7 @@ source = "assumed"
     code = flies(library=flight_computer(), sequencing="flight-code")
     words = [word for change in (ORBIT, *code, *NOISY_GNSS, *RECEIVERS[:3]) for word in ("--set", change)]
     out = tmp_path / "out"
-    assert simrun.main([str(campaign), "--runs", "3", "--out", str(out), *words]) in (0, 1)
+    assert simrun.main([str(campaign), "--runs", "3", "--out", str(out), *words]) == 3  # undecided: no run has failed
     errors_m = np.ravel(DataSet.read(out).column("cutoff_apogee_error_m"))
     assert np.abs(errors_m).max() < 500.0
     assert len(set(errors_m)) == 3

@@ -1,6 +1,6 @@
 """The gauges of engines and tanks, for flight code: chamber pressures and masses of liquid, without error.
 
-The chamber pressure is proportional to the vacuum thrust, as for a nozzle with a constant thrust coefficient, and is
+The chamber pressure is proportional to the vacuum thrust, as for a nozzle with a constant thrust coefficient. It is
 given relative to that at the largest thrust of the engine's table.
 """
 

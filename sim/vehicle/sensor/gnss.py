@@ -1,8 +1,8 @@
 """The GNSS receiver: position and velocity of its antenna, Earth-fixed, at regular epochs.
 
 The antenna moves with the rigid body: r_ant = r + rho, v_ant = v + w x rho, with the lever arm rho from the core CG. A
-solution has a constant error and a first-order Gauss-Markov error in north, east and down (white for a correlation time
-of 0), and arrives after a latency of at most one period. Epochs coincide with samples of the computer.
+solution has a constant error and a first-order Gauss-Markov error in north, east and down, which is white for a
+correlation time of 0. It arrives after a latency of at most one period. Epochs coincide with samples of the computer.
 """
 
 from __future__ import annotations
