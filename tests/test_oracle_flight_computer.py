@@ -24,6 +24,7 @@ from flight_code import EXAMPLES, compiled, flies, needs_compiler
 from made_once import copy_of
 from petrelkit import folder
 
+import maxq
 from maxq import Flight
 from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.investigation import refly
@@ -517,7 +518,9 @@ source = "assumed"
     words = [word for change in (ORBIT, *code, *NOISY_GNSS, *RECEIVERS[:3]) for word in ("--set", change)]
     out = tmp_path / "out"
     assert simrun.main([str(campaign), "--runs", "3", "--out", str(out), *words]) == 3  # undecided: no run has failed
-    errors_m = np.ravel(DataSet.read(out).column("cutoff_apogee_error_m"))
+    flown = maxq.read(out)
+    assert isinstance(flown, DataSet)
+    errors_m = np.ravel(flown.column("cutoff_apogee_error_m"))
     assert np.abs(errors_m).max() < 500.0
     assert len(set(errors_m)) == 3
     assert refly(out, 1, log=False).same
