@@ -33,10 +33,17 @@ from maxq.control.attitude import (
 )
 from maxq.control.burns import Burns, BurnsState, advance_burns, start_burns
 from maxq.control.converter import Converter, ConverterState, convert, make_converter, round_half_away, start_converter
-from maxq.control.external import HEALTH_ACCELEROMETER, HEALTH_RATE_GYROS, ExternalState, step_external
+from maxq.control.external import (
+    HEALTH_ACCELEROMETER,
+    HEALTH_RATE_GYROS,
+    ExternalState,
+    commanded_attitude,
+    step_external,
+)
 from maxq.control.filter_schedule import MovingFilter, freeze_moving, move_filter
 from maxq.control.filters import DiscreteFilter
 from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance, unroll
+from maxq.control.kernel import vectors as vec
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw, QuaternionRow, RollPitchYaw, degrees, quaternion
@@ -409,6 +416,7 @@ def call_external(computer: Computer, state: ComputerState, time_s: float) -> No
     inputs.tick, inputs.time_s = state.ticks, time_s
     inputs.time_ns = round(1.0e9 * inputs.time_s)
     inputs.health = 1 if state.invalid_inputs == state.external.invalid_before else 0
+    inputs.health += state.external.health
     state.external.invalid_before = state.invalid_inputs
     for axis in range(3):
         inputs.counts[axis] = converter.counts[axis]
@@ -428,6 +436,13 @@ def call_external(computer: Computer, state: ComputerState, time_s: float) -> No
     if computer.sensors.count > 0:
         hand_sensors(computer, state)
     step_external(state.external)
+    wanted = commanded_attitude(state.external.outputs, (0.0, 0.0, 0.0, 0.0))
+    if wanted != (0.0, 0.0, 0.0, 0.0):  # the error in the log is then that of the code's guidance
+        turned = vec.quaternion_product(vec.conjugate(wanted), vec.quaternion_at(attitude.measured.q, 0))
+        vec.set_vector(attitude.error_rad, 0, vec.roll_and_tilt(turned))
+        for axis in range(3):
+            limit_rad = computer.angle_error_limit_rad
+            attitude.theta_e_rad[axis] = min(max(attitude.error_rad[axis], -limit_rad), limit_rad)
 
 
 @routine

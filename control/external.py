@@ -9,6 +9,7 @@ ctypes makes such a C function (sim/run/flight_software.py).
 from __future__ import annotations
 
 import ctypes
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -18,22 +19,34 @@ from numba import types
 from numba.extending import intrinsic, overload
 
 from maxq.control.kernel.jit import entry, kernel
-from maxq.control.kernel.limits import MAX_SENSORS
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS, MAX_SENSORS
 from maxq.control.kernel.records import Array, IntArray, Records
+from maxq.control.kernel.vectors import Quaternion, quaternion_at
 
 HEADER = Path(__file__).with_name("maxq_fsw.h")
-ABI = 1
+ABI = 2
 MONITORS = 8
 LARGEST_RAD = 1.0e6  # limit of a command's magnitude, far below overflow
+LONGEST_DELAY_S = 1000.0
+THROTTLE = (0.1, 1.2)  # allowed range; 0 keeps the present throttle
 
 HEALTH_ACCELEROMETER, HEALTH_RATE_GYROS = 2, 4  # bits of `FswInputs.health`
+HEALTH_GNSS, HEALTH_BAROMETER, HEALTH_MAGNETOMETER = 8, 16, 32
+LIFTOFF_SWITCH, FIRST_SEPARATION_SWITCH = 1, 2  # bits of `FswInputs.discretes`
 
 OWN_ERROR, NOT_FINITE, BAD_THRUSTER, CRASHED, STUCK, OVERWROTE = range(1, 7)
+ABORTED, BAD_SEPARATION, EARLY, BAD_THROTTLE, BAD_TURN, TOO_MANY = range(7, 13)
 """The faults of flight code that end a flight.
 
-`OWN_ERROR` is a return value other than 0, and `OVERWROTE` a change of the simulator's memory. `CRASHED` and `STUCK`
-are detected in sim/run/guard.py.
+- OWN_ERROR: a return value other than 0.
+- CRASHED, STUCK: detected in sim/run/guard.py.
+- OVERWROTE: a change of the simulator's memory.
+- ABORTED: the code has commanded an abort, whose number is `code`.
+- BAD_SEPARATION, EARLY: a separation (SEPARATIONS) that is not the next one, or before the tables of the next stage.
+- TOO_MANY: more ignitions than the record has room for.
 """
+SEPARATIONS = ("", "stage_separation", "booster_separation", "fairing_separation")
+NO_SEPARATION, STAGE_SEPARATION, BOOSTER_SEPARATION, FAIRING_SEPARATION = range(len(SEPARATIONS))
 
 
 @dataclass
@@ -56,6 +69,17 @@ class FswInputs:
     - `delta_velocity_mps`: specific force integrated over the sample by the accelerometer; 0 without an accelerometer.
     - `further_rate_radps`: rates of the gyros after the first.
     - `speed_mps`, `mass_kg`, `dynamic_pressure_Pa`: variables of the gain schedules (structures.py).
+
+    Version 2:
+
+    - `discretes`: bit 0 is set after liftoff, bit 1 + n after the separation of stage n.
+    - `gnss_number`: number of GNSS solutions received so far; the last one is `gnss_r_E_m` and `gnss_v_E_mps` of the
+      antenna, Earth-fixed, valid at `gnss_time_s`.
+    - `pressure_Pa`: barometer. `magnetic_B_T`: magnetometer.
+    - `chamber_pressure`: chamber pressure of each engine of the stage, relative to that at its largest thrust.
+    - `tank_kg`: liquid in each tank with a pendulum.
+    - `target_perigee_m`, `target_apogee_m`: altitudes of the target orbit; 0 without a target.
+    - `target_inclination_rad`: inclination of the target orbit; -1 for the plane of flight.
     """
 
     bytes: int
@@ -78,6 +102,18 @@ class FswInputs:
     speed_mps: float
     mass_kg: float
     dynamic_pressure_Pa: float
+    discretes: int
+    gnss_number: int
+    gnss_time_s: float
+    gnss_r_E_m: Annotated[Array, (3,)]
+    gnss_v_E_mps: Annotated[Array, (3,)]
+    pressure_Pa: float
+    magnetic_B_T: Annotated[Array, (3,)]
+    chamber_pressure: Annotated[Array, (MAX_ENGINES,)]
+    tank_kg: Annotated[Array, (MAX_PENDULUMS,)]
+    target_perigee_m: float
+    target_apogee_m: float
+    target_inclination_rad: float
 
 
 @dataclass
@@ -88,6 +124,16 @@ class FswOutputs:
     - `roll_gimbal_rad`: roll command to several groups of engines (allocation.py).
     - `roll_thruster`: demand on the roll thrusters, -1, 0 or 1.
     - `monitor`: values for the log.
+
+    Version 2; commands of the sequence act when they change from 0 (sim/flight/sequence.py):
+
+    - `ignition`, `cutoff`: of the engines. The cutoff takes effect `cutoff_delay_s` later than other commands.
+    - `throttle`: of all engines; 0 keeps the present throttle, which is 1 at an ignition.
+    - `stage_separation`, `booster_separation`, `fairing_separation`: end of the stage.
+    - `abort`: a number that ends the flight.
+    - `turn_thruster`: demand on the thrusters in pitch and yaw, -1, 0 or 1.
+    - `commanded_q_BR`: attitude that the code commands, for the attitude error in the log; zero for that of the
+      programme.
     """
 
     bytes: int
@@ -95,6 +141,20 @@ class FswOutputs:
     roll_gimbal_rad: float
     roll_thruster: int
     monitor: Annotated[Array, (MONITORS,)]
+    ignition: int
+    cutoff: int
+    cutoff_delay_s: float
+    throttle: float
+    stage_separation: int
+    booster_separation: int
+    fairing_separation: int
+    abort: int
+    turn_thruster: Annotated[IntArray, (2,)]
+    commanded_q_BR: Annotated[Array, (4,)]
+
+
+FIRST_OF_VERSION_2 = {"inputs": "discretes", "outputs": "ignition"}
+"""The first fields that version 1 lacks."""
 
 
 @dataclass
@@ -138,6 +198,7 @@ class ExternalState:
     - `invalid_before`: number of invalid inputs up to the previous sample.
     - `fault`: 0, or the fault that ends the flight.
     - `code`: return value of the function, or the invalid output (its index, or the roll demand).
+    - `health`: bits of the sensors for navigation, written by the caller.
     """
 
     call: ProtectedCall
@@ -146,6 +207,7 @@ class ExternalState:
     invalid_before: int
     fault: int
     code: int
+    health: int
     inputs: FswInputs
     outputs: FswOutputs
 
@@ -219,6 +281,11 @@ def clear_outputs(outputs: FswOutputs) -> None:
     outputs.roll_thruster = 0
     for i in range(MONITORS):
         outputs.monitor[i] = 0.0
+    outputs.ignition, outputs.cutoff, outputs.cutoff_delay_s, outputs.throttle = 0, 0, 0.0, 0.0
+    outputs.stage_separation, outputs.booster_separation, outputs.fairing_separation, outputs.abort = 0, 0, 0, 0
+    outputs.turn_thruster[0], outputs.turn_thruster[1] = 0, 0
+    for i in range(4):
+        outputs.commanded_q_BR[i] = 0.0
 
 
 @kernel
@@ -238,12 +305,32 @@ def step_external(state: ExternalState) -> None:
         state.fault = OWN_ERROR
     elif not -1 <= outputs.roll_thruster <= 1:
         state.fault, state.code = BAD_THRUSTER, outputs.roll_thruster
+    for k in range(2):
+        if state.fault == 0 and not -1 <= outputs.turn_thruster[k] <= 1:
+            state.fault, state.code = BAD_TURN, outputs.turn_thruster[k]
+    if state.fault == 0 and outputs.throttle != 0.0 and not THROTTLE[0] <= outputs.throttle <= THROTTLE[1]:
+        state.fault, state.code = BAD_THROTTLE, 0
+    if state.fault == 0 and not 0.0 <= outputs.cutoff_delay_s <= LONGEST_DELAY_S:
+        state.fault, state.code = NOT_FINITE, 3
+    for i in range(4):
+        if state.fault == 0 and not abs(outputs.commanded_q_BR[i]) < LARGEST_RAD:
+            state.fault, state.code = NOT_FINITE, 4
     for i in range(3):
         command_rad = outputs.roll_gimbal_rad if i == 2 else outputs.gimbal_rad[i]
         if state.fault == 0 and not abs(command_rad) < LARGEST_RAD:
             state.fault, state.code = NOT_FINITE, i
     if state.fault != 0:
         clear_outputs(outputs)
+
+
+@kernel
+def commanded_attitude(outputs: FswOutputs, programme: Quaternion) -> Quaternion:
+    """Return the attitude that the code commands, of unit length, or that of the programme if the code gives none."""
+    q = quaternion_at(outputs.commanded_q_BR, 0)
+    length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    if length == 0.0:
+        return programme
+    return q[0] / length, q[1] / length, q[2] / length, q[3] / length
 
 
 class MonitorRow(NamedTuple):

@@ -24,7 +24,7 @@ from maxq import Flight
 from maxq.control.external import FswInputs, FswOutputs
 from maxq.control.kernel.records import dtype_of
 from maxq.sim.run.fly import fly
-from maxq.sim.run.instances import Outputs, Setup
+from maxq.sim.run.instances import Outputs, Setup, size_of
 from maxq.sim.scenario.loader import load_scenario
 
 POWERED = ["run.duration_s=59", "requirement="]
@@ -160,7 +160,7 @@ def _answers_three(where: socket.socket, name: str) -> None:
     try:
         for number in range(4):
             got, sender = peer.recvfrom(4096) if peer is where else (peer.recv(4096), None)
-            size = 0 if number == 0 else ctypes.sizeof(Outputs)
+            size = 0 if number == 0 else size_of(Outputs, 1)
             said = got[:16] + bytes(8 + size) if number < 3 else bytes(24 + size) if name == "garbled" else b""
             if said:
                 peer.sendto(said, sender) if sender else peer.sendall(said)

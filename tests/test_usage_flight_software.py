@@ -101,7 +101,7 @@ def test_thrusters_are_fired_either_way(tmp_path: Path, way: int) -> None:
     ("macros", "said"),
     [
         ({"MISSING": "1"}, "has no function maxq_fsw_abi"),
-        ({"ABI": "9"}, "is made for version 9 of maxq_fsw.h, this is version 1"),
+        ({"ABI": "9"}, "is made for version 9 of maxq_fsw.h, allowed are versions 1 to 2"),
         ({"INIT": "3"}, "maxq_fsw_init returned 3"),
         ({"INIT": "(int32_t)*(volatile char*)setup->bytes"}, "crashed at its start: SIGSEGV"),
     ],

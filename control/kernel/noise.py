@@ -18,7 +18,8 @@ from maxq.control.kernel.jit import kernel, routine
 
 # Streams in use, so that no two components share a sequence: 1 turbulence, 16 to 18 the three axes of the gyro
 # (GYRO_STREAM in sim/vehicle/sensor/gyro.py), 32 to 51 further sensors (SENSOR_STREAM in
-# sim/vehicle/sensor/further.py), 64 to 79 buffet (BUFFET_STREAM in sim/vehicle/buffet/kernel.py).
+# sim/vehicle/sensor/further.py), 64 to 79 buffet (BUFFET_STREAM in sim/vehicle/buffet/kernel.py), 80 to 85 GNSS,
+# 86 barometer, 88 to 90 magnetometer.
 TURBULENCE_STREAM = 1
 
 _MASK = 0xFFFFFFFF

@@ -4,8 +4,9 @@
  *   ./computer tcp 5005 &
  *   simrun nominal --set vehicle.computer.law=external --set vehicle.computer.address=tcp://127.0.0.1:5005
  *
- * Serves one flight after the other, of one simulator at a time; port 0 takes a free one and prints it. On a target, put
- * its own transport in place of the sockets: docs/flight-software.md has the messages.
+ * Serves one flight after the other, of one simulator at a time, in version 1 of maxq_fsw.h or, with
+ * vehicle.computer.interface=2, in version 2; port 0 takes a free one and prints it. On a target, put its own transport in
+ * place of the sockets: docs/flight-software.md has the messages.
  */
 #define _POSIX_C_SOURCE 200112L
 
@@ -68,24 +69,32 @@ static int next(int from, int stream, message *m)
     if (!received(from, &m->head, sizeof m->head)) {
         return 0;
     }
-    return m->head.kind == END || received(from, &m->of, m->head.kind == SETUP ? sizeof m->of.setup : sizeof m->of.in);
+    if (m->head.kind == END) {
+        return 1;
+    }
+    /* a struct begins with its size, which depends on the version that the simulator uses */
+    return received(from, &m->of.in.bytes, sizeof m->of.in.bytes) && m->of.in.bytes >= 8
+        && m->of.in.bytes <= (int64_t)sizeof m->of
+        && received(from, (char *)&m->of + sizeof m->of.in.bytes, (size_t)m->of.in.bytes - sizeof m->of.in.bytes);
 }
 
 static void serve(int from, int stream, void *instance)
 {
     message m;
+    size_t out_size = sizeof(maxq_fsw_outputs);
     while (next(from, stream, &m) && memcmp(m.head.magic, "MAXQ", 4) == 0 && m.head.kind != END) {
         answer a;
         size_t size = offsetof(answer, out);
         memset(&a, 0, sizeof a);
         a.head = m.head;
-        a.out.bytes = (int64_t)sizeof a.out;
+        a.out.bytes = (int64_t)out_size;
         if (m.head.kind == SETUP) {
+            out_size = m.of.setup.abi < 2 ? offsetof(maxq_fsw_outputs, ignition) : sizeof a.out;
             memset(instance, 0, (size_t)maxq_fsw_bytes());
             a.code = maxq_fsw_init(instance, &m.of.setup);
         } else {
             a.code = maxq_fsw_step(instance, &m.of.in, &a.out);
-            size = sizeof a;
+            size += out_size;
         }
         if (send(from, &a, size, 0) != (ssize_t)size) {
             break;

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 from maxq.control.computer import computer_tick
+from maxq.control.external import commanded_attitude
 from maxq.control.kernel import vectors as vec
 from maxq.control.kernel.jit import kernel, routine, routine_beside
 from maxq.control.kernel.limits import MAX_ENGINES
@@ -31,6 +32,8 @@ from maxq.sim.flight.parameters import (
     Memory,
     Parameters,
 )
+from maxq.sim.flight.sequence import hand_over_discretes, obey
+from maxq.sim.flight.step import flight_instant
 from maxq.sim.vehicle import state as states
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts, counts
 from maxq.sim.vehicle.engine.kernel import total_thrust
@@ -39,6 +42,7 @@ from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_LOST, GYRO_WALK
 from maxq.sim.vehicle.schedule import CORE_CG, TOTAL_MASS
 from maxq.sim.vehicle.sensor.further import SENSOR_STREAM, sensor_slots
 from maxq.sim.vehicle.sensor.gyro import GYRO_STREAM
+from maxq.sim.vehicle.sensor.receivers import measure
 from maxq.sim.vehicle.workspace import Aux
 from maxq.sim.world.atmosphere import air
 from maxq.sim.world.earth import local_frame
@@ -76,7 +80,7 @@ def burn_out(p: Parameters, memory: Memory, y: Array) -> None:
 
 @kernel
 def restart(memory: Memory) -> None:
-    """Ignite the last stage's engine again; its schedule continues from the time of the cutoff."""
+    """Ignite the engine; its schedule continues from the time of the cutoff, or begins if it has not burned yet."""
     clock, n = memory.clock, memory.clock.restarts
     clock.restart_ns[n], clock.restart_cut_off_ns[n], clock.restart_stage[n] = (
         clock.now_ns,
@@ -86,6 +90,7 @@ def restart(memory: Memory) -> None:
     clock.restarts += 1
     clock.idle_ns += clock.now_ns - clock.cut_off_ns
     clock.cut_off_ns, clock.ignite_ns = 0, 0
+    clock.throttled, clock.pending_throttled = 0.0, 0.0
     clock.stage_burnout_ns[clock.stage] = -1
     clock.fresh, clock.next_break_ns = 1, clock.now_ns
     memory.held.burning, memory.held.settling_N, clock.pending_settling_N = 1, 0.0, 0.0
@@ -100,15 +105,19 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
     """
     clock, held = memory.clock, memory.held
     now = clock.now_ns
+    if clock.throttled != 0.0 and (clock.cut_off_ns == 0 or now <= clock.cut_off_ns):
+        clock.idle_ns += int(clock.throttled * (now - clock.throttled_ns))
+        clock.throttled_ns = now
     if 0 < clock.ignite_ns <= now:
         restart(memory)
     advance_schedule(p, pool, memory)
     changed = 0
-    burnout_ns = p.timeline.burnout_ns + clock.idle_ns
+    burnout_ns = flight_instant(clock, p.timeline.burnout_ns)
     cut_off = 0 < clock.cut_off_ns <= now
     if clock.decay_ns > 0 and clock.cut_off_ns == now:
         clock.fresh = 1
-    if held.burning == 0 and p.timeline.burn_start_ns <= now < burnout_ns and not cut_off:
+    ignites = held.burning == 0 and p.timeline.burn_start_ns <= now < burnout_ns and not cut_off
+    if ignites and p.timeline.sequenced == 0:
         held.burning = 1
         changed = 1
     if cut_off:  # thrust decays without flow, hence beyond the burnout
@@ -132,18 +141,18 @@ def process_due_events(p: Parameters, pool: Array, memory: Memory, y: Array, aux
             if p.environment.penetration == 1:
                 way_m = air.airspeed_mps * 1e-9 * turbulence.tick_ns
                 history_tick(memory.history, memory.gusts, way_m, p.environment.reach_m)
-    apply_due_command(p, memory)  # before the sample, whose command replaces the pending command
+    apply_due_command(p, pool, memory)  # before the sample, whose command replaces the pending command
     if now >= clock.next_sample_ns:
         if p.computer.over != 0 or p.computer.external != 0:
             navigate(p.environment, pool, y, properties[TOTAL_MASS], memory.computer.navigation)
-        sample_computer(p, pool, memory, y)
+        sample_computer(p, pool, memory, y, properties)
         clock.next_sample_ns = now + p.computer.sample_ns
-        apply_due_command(p, memory)  # again, because a command without delay is due at once
+        apply_due_command(p, pool, memory)  # again, because a command without delay is due at once
     return changed
 
 
 @kernel
-def apply_due_command(p: Parameters, memory: Memory) -> None:
+def apply_due_command(p: Parameters, pool: Array, memory: Memory) -> None:
     """Pass a command that is due to the actuators and thrusters, which hold it.
 
     After burnout the gimbals are commanded to their centre, because without thrust the law could only drive them
@@ -156,7 +165,11 @@ def apply_due_command(p: Parameters, memory: Memory) -> None:
                 clock.pending_rad[channel] = 0.0
             held.command_rad[channel] = clock.pending_rad[channel]
         held.roll_torque_Nm = p.vehicle.roll_torque_Nm * clock.pending_roll
-        if p.computer.burns.count > 1:
+        if clock.pending_throttled != clock.throttled and held.burning == 1:
+            clock.throttled, clock.throttled_ns = clock.pending_throttled, clock.now_ns
+            clock.next_break_ns = clock.now_ns
+            advance_schedule(p, pool, memory)
+        if p.computer.burns.count > 1 or p.computer.external == 1:
             held.settling_N = clock.pending_settling_N
             held.turn_torque_Nm[0] = p.vehicle.turn_torque_Nm * clock.pending_turn[0]
             held.turn_torque_Nm[1] = p.vehicle.turn_torque_Nm * clock.pending_turn[1]
@@ -178,7 +191,7 @@ def navigate(environment: Environment, pool: Array, y: Array, mass_kg: float, na
 
 
 @routine_beside
-def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> None:
+def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array, properties: Array) -> None:
     """Run one tick of the flight computer on the gyro's angle increments since the last tick."""
     clock = memory.clock
     now = clock.now_ns
@@ -213,8 +226,13 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
                 orbit.velocity_mps[axis] += navigation.velocity_mps[axis]
         for component in range(4):
             orbit.start_q_BI[component] = memory.truth.start_q_BI[component]
+    if p.receivers.on == 1:
+        seed, faults, sample = p.timeline.seed, memory.held.faults, clock.samples
+        measure(p.receivers, memory.receivers, p.environment, pool, seed, sample, now, properties, faults, y)
     clock.samples += 1
-    memory.computer.external.inputs.stage = clock.stage
+    if p.computer.external == 1:
+        memory.computer.external.inputs.stage = clock.stage
+        hand_over_discretes(p, pool, memory, properties)
     computer_tick(
         p.computer,
         pool,
@@ -226,6 +244,11 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
         memory.gimbal_injection_rad,
         memory.gimbal_replaces,
     )
+    if p.computer.external == 1:
+        for k in range(2):
+            clock.pending_turn[k] = memory.computer.external.outputs.turn_thruster[k]
+    if p.timeline.sequenced == 1:
+        obey(p, memory)
     if memory.computer.external.fault != 0:
         clock.finished = 1
     if p.computer.burns.count > 0:
@@ -240,8 +263,11 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array) -> Non
         clock.pending_settling_N = burns.settling_N
         for k in range(2):
             clock.pending_turn[k] = memory.computer.turning[k].demand
-    start, commanded = memory.truth.start_q_BI, memory.computer.guidance.attitude.q
-    wanted = vec.quaternion_product(vec.quaternion_at(start, 0), vec.quaternion_at(commanded, 0))
+    start = memory.truth.start_q_BI
+    commanded = vec.quaternion_at(memory.computer.guidance.attitude.q, 0)
+    if p.computer.external == 1:
+        commanded = commanded_attitude(memory.computer.external.outputs, commanded)
+    wanted = vec.quaternion_product(vec.quaternion_at(start, 0), commanded)
     turned = vec.quaternion_product(vec.conjugate(wanted), vec.quaternion_at(y, Q_BI))
     vec.set_vector(memory.truth.error_rad, 0, vec.roll_and_tilt(turned))
     for channel in range(2 + 2 * p.vehicle.sizes.further_groups):
@@ -299,8 +325,8 @@ def step_length(p: Parameters, pool: Array, memory: Memory, until_ns: int) -> in
         clock.next_gust_ns,
         memory.faults.next_ns,
         timeline.burn_start_ns,
-        timeline.burnout_ns + clock.idle_ns,
-        timeline.separation_ns,
+        flight_instant(clock, timeline.burnout_ns),
+        clock.separation_ns,
         timeline.release_ns,
         timeline.stop_ns,
     ):
@@ -326,7 +352,7 @@ def advance_schedule(p: Parameters, pool: Array, memory: Memory) -> None:
         return
     while p.timeline.frozen == 0 and clock.interval < schedule.n_breaks - 2:
         table_s = pool[schedule.offset + clock.interval + 1] / p.timeline.burn_rate
-        at: int = p.timeline.stage_start_ns + clock.idle_ns + round(1e9 * table_s)
+        at = flight_instant(clock, p.timeline.stage_start_ns + round(1e9 * table_s))
         if at > clock.now_ns:
             clock.next_break_ns = at
             return
@@ -408,6 +434,7 @@ def transfer_state(
         for channel in range(2 * MAX_ENGINES):
             memory.held.command_rad[channel], memory.held.engine_rad[channel] = 0.0, 0.0
         memory.held.roll_torque_Nm, memory.held.burning = 0.0, 0
+        memory.held.turn_torque_Nm[0], memory.held.turn_torque_Nm[1] = 0.0, 0.0
         move_sensors(before, after, y)
         states.start_states(after.vehicle.sizes, rate, 1, y)
     if after.timeline.continues == DROPS:

@@ -15,6 +15,7 @@ from maxq.sim.flight.metric_table import N_METRICS
 from maxq.sim.flight.metrics import gather
 from maxq.sim.flight.navigation import start_navigation
 from maxq.sim.flight.parameters import APOGEE, DIVERGED, IMPACT, LIFTOFF, N_EVENTS, NEVER, Memory, Parameters
+from maxq.sim.flight.sequence import await_ignition, begin_clock
 from maxq.sim.flight.telemetry import Logged, fill_fast, fill_slow
 from maxq.sim.vehicle.block import Q_BI, counts
 from maxq.sim.vehicle.environment import ANCHOR_DUE, climb_rate, climbs_certainly, flight_direction
@@ -42,7 +43,7 @@ def begin(P: Records, pool: Array, state: Records, y: Array) -> None:
     """Set the memory of a flight to its start; `y` must contain the initial state of the first stage."""
     p, memory = P[0], state[0]
     clock = memory.clock
-    clock.started = 1
+    clock.started, clock.throttled, clock.pending_throttled = 1, 0.0, 0.0
     for event in range(N_EVENTS):
         clock.event_ns[event] = -1
     for stage in range(len(P)):
@@ -81,6 +82,12 @@ def start_stage(p: Parameters, pool: Array, memory: Memory) -> None:
     clock.interval = find_interval(pool, p.vehicle.schedule, step.schedule_clock(p, memory.clock, now, 0.0))
     clock.fresh, clock.next_break_ns = 1, now
     memory.faults.next_ns = now if p.faults.count > 0 else NEVER
+    clock.separation_ns = p.timeline.separation_ns
+    if p.timeline.sequenced == 1:
+        await_ignition(p, memory)
+        if p.timeline.continues > 0 and memory.held.burning == 0 and clock.stage_burnout_ns[clock.stage - 1] >= 0:
+            clock.stage_burnout_ns[clock.stage] = clock.stage_burnout_ns[clock.stage - 1]
+        return
     cut_off = clock.cut_off_ns > 0 and clock.stage_burnout_ns[clock.stage - 1] >= 0
     ends_ns = NEVER if 0 < clock.cut_off_ns <= now else p.timeline.burnout_ns + clock.idle_ns
     burns = p.timeline.burn_start_ns <= now < ends_ns and not cut_off
@@ -133,7 +140,7 @@ def advance(
     now_at, log_rows = space.start, LogRows(fast_ns, fast, slow_ns, slow, rows)
     while clock.finished == 0 and clock.now_ns < until_ns:
         p = P[clock.stage]
-        if clock.now_ns < p.timeline.separation_ns or clock.stage + 1 == len(P):  # first, because it is slow to compile
+        if clock.now_ns < clock.separation_ns or clock.stage + 1 == len(P):  # first, because it is slow to compile
             fly_step(p, pool, memory, logged, until_ns, space, log_rows)
         else:
             separate(P, pool, memory, now_at.y, now_at.properties, space.end.properties, space.y_end)
@@ -239,11 +246,15 @@ def separate(
     clock = memory.clock
     before, after = P[clock.stage], P[clock.stage + 1]
     ends = after.timeline.continues == 0 and clock.now_ns >= before.timeline.burnout_ns + clock.idle_ns
+    if before.timeline.sequenced == 1:
+        ends = after.timeline.continues == 0
     if memory.held.burning == 1 and ends:
         events.burn_out(before, memory, y)  # at the same instant, before the separation
         if clock.finished == 1:
             return
     step.read_schedule(before, pool, memory, clock.now_ns, 0.0, properties)
+    if before.timeline.sequenced == 1 and begin_clock(after, pool, memory) == 1:
+        return
     interval = clock.interval
     clock.interval = find_interval(pool, after.vehicle.schedule, step.schedule_clock(after, clock, clock.now_ns, 0.0))
     step.read_schedule(after, pool, memory, clock.now_ns, 0.0, properties_after)

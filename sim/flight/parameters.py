@@ -16,11 +16,15 @@ from maxq.sim.flight.navigation import Navigation, NavigationMemory
 from maxq.sim.vehicle.derivative import Held, StageInputs, StageRecord
 from maxq.sim.vehicle.environment import Environment
 from maxq.sim.vehicle.loads.columns import Loads, SectionLoads
+from maxq.sim.vehicle.sensor.gauges import Gauges
+from maxq.sim.vehicle.sensor.receivers import ReceiverMemory, Receivers
 from maxq.sim.world.gust_history import GustHistory
 from maxq.sim.world.turbulence import TurbulenceState
 
 NEVER = 2**62  # ns: an instant that never occurs
 NONE = -1  # no place in the pool
+MAX_IGNITIONS = MAX_STAGES + MAX_BURNS
+N_COMMANDS = 5  # ignition, cutoff, separations of stage, boosters and fairing
 DROPS = 2  # value of `continues` for a stage that drops some boosters of the previous stage
 
 # Events in the order of the events' table; BURNOUT is that of the last stage that burned.
@@ -59,6 +63,8 @@ class StageTimeline:
     fast_ns: int  # periods of the log
     slow_ns: int
     seed: int
+    sequenced: int  # 1: flight code commands ignitions, cutoffs, throttle and separations (sequence.py)
+    separates: int  # kind of the separation that ends the stage, index into external.SEPARATIONS
 
 
 @dataclass(frozen=True)
@@ -72,6 +78,8 @@ class Parameters:
     injections: Injections
     faults: Faults
     timeline: StageTimeline
+    receivers: Receivers
+    gauges: Gauges
 
 
 @dataclass
@@ -89,10 +97,16 @@ class Clock:
     next_break_ns: int  # next breakpoint of the schedule
     next_sample_ns: int
     command_due_ns: int  # instant at which the pending command takes effect
-    cut_off_ns: int  # engine cutoff by the guidance, which stops the schedule; 0: none
+    # engine cutoff by the guidance or flight code, or the ignition that flight code has not commanded yet; it stops the
+    # schedule; 0: none
+    cut_off_ns: int
     decay_ns: int  # of the thrust after this cutoff, by the stage that commanded it
-    ignite_ns: int  # restart by the guidance; 0: none
+    ignite_ns: int  # commanded ignition; 0: none
     idle_ns: int  # total time between cutoffs and restarts, in which the schedule was stopped
+    separation_ns: int  # end of the stage
+    throttled: float  # 1 minus the throttle, by which the schedule is slower and the thrust less; 0: none
+    pending_throttled: float
+    throttled_ns: int  # instant up to which idle_ns includes the throttling
     pending_rad: Annotated[Array, (2 * MAX_ENGINES,)]
     pending_roll: int
     pending_turn: Annotated[IntArray, (2,)]  # demand on the thrusters in pitch and yaw
@@ -105,9 +119,9 @@ class Clock:
     stage_burnout_ns: Annotated[IntArray, (MAX_STAGES,)]
     stage_separation_ns: Annotated[IntArray, (MAX_STAGES,)]
     restarts: int
-    restart_ns: Annotated[IntArray, (MAX_BURNS,)]  # of the last stage's engine
-    restart_cut_off_ns: Annotated[IntArray, (MAX_BURNS,)]  # cutoff before each restart
-    restart_stage: Annotated[IntArray, (MAX_BURNS,)]
+    restart_ns: Annotated[IntArray, (MAX_IGNITIONS,)]  # of the last stage's engine; with flight code, all ignitions
+    restart_cut_off_ns: Annotated[IntArray, (MAX_IGNITIONS,)]  # cutoff before each restart
+    restart_stage: Annotated[IntArray, (MAX_IGNITIONS,)]
 
 
 @dataclass
@@ -167,6 +181,8 @@ class Memory:
     truth: Truth
     launch: LaunchMemory
     navigation: NavigationMemory
+    receivers: ReceiverMemory
+    asked: Annotated[IntArray, (N_COMMANDS,)]  # commands of the sequence at the last sample
     burnout: Burnout
     gusts: TurbulenceState
     history: GustHistory

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from maxq.control.kernel.jit import disjoint_routine, kernel, routine
+from maxq.control.kernel.jit import disjoint_routine, kernel, rare_routine, routine
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.tables import interpolate_into
 from maxq.control.kernel.vectors import Vector, add, scaled, set_vector
@@ -29,7 +29,7 @@ from maxq.sim.flight.oscillators import (
     blocks_for,
     row_times,
 )
-from maxq.sim.flight.parameters import ERRORS_SQUARED, Clock, Memory, Parameters
+from maxq.sim.flight.parameters import ERRORS_SQUARED, NEVER, Clock, Memory, Parameters
 from maxq.sim.vehicle import schedule as sch
 from maxq.sim.vehicle import state as states
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, Counts, counts
@@ -89,7 +89,17 @@ def schedule_clock(p: Parameters, clock: Clock, now_ns: int, elapsed_s: float) -
         now_ns, elapsed_s = clock.cut_off_ns, 0.0
     if p.timeline.frozen == 1:
         return p.timeline.frozen_s
-    return p.timeline.burn_rate * (1e-9 * (now_ns - p.timeline.stage_start_ns - clock.idle_ns) + elapsed_s)
+    lag_s = clock.throttled * (1e-9 * (now_ns - clock.throttled_ns) + elapsed_s)  # 0 without throttling
+    return p.timeline.burn_rate * (1e-9 * (now_ns - p.timeline.stage_start_ns - clock.idle_ns) + elapsed_s - lag_s)
+
+
+@kernel
+def flight_instant(clock: Clock, instant_ns: int) -> int:
+    """Return the instant at which the schedule reaches `instant_ns` of the flight time of an undisturbed schedule."""
+    if clock.throttled == 0.0 or instant_ns >= NEVER:
+        return instant_ns + clock.idle_ns
+    left_ns: int = instant_ns + clock.idle_ns - clock.throttled_ns
+    return clock.throttled_ns + math.ceil(left_ns / (1.0 - clock.throttled))
 
 
 @disjoint_routine
@@ -99,6 +109,8 @@ def read_schedule(p: Parameters, pool: Array, memory: Memory, now_ns: int, elaps
     interpolate_into(pool, p.vehicle.schedule, memory.clock.interval, clock_s, properties, 0)
     if 0 < memory.clock.cut_off_ns <= now_ns:
         stop_flow(counts(p.vehicle.sizes), properties)
+    if memory.clock.throttled != 0.0:
+        throttle_engines(counts(p.vehicle.sizes), 1.0 - memory.clock.throttled, properties)
     derive_properties(p.vehicle, pool, clock_s, properties)
     decay_ns, since_cutoff_ns = memory.clock.decay_ns, now_ns - memory.clock.cut_off_ns
     if decay_ns > 0 and memory.clock.cut_off_ns > 0 and since_cutoff_ns >= 0:
@@ -121,6 +133,19 @@ def stop_flow(sizes: Counts, properties: Array) -> None:
     for tank in range(sizes.pendulums):
         properties[sch.tank_column(tank) + sch.TANK_MASS_RATE] = 0.0
         properties[sch.tank_column(tank) + sch.TANK_TRAVEL] = 0.0
+
+
+@rare_routine
+def throttle_engines(sizes: Counts, throttle: float, properties: Array) -> None:
+    """Multiply the thrust of all engines, and the rates of the vehicle's properties, by the throttle."""
+    for column in range(sch.CG_RATE, sch.TOTAL_MASS):
+        properties[column] *= throttle
+    properties[sch.MASS_FLOW] *= throttle
+    for tank in range(sizes.pendulums):
+        properties[sch.tank_column(tank) + sch.TANK_MASS_RATE] *= throttle
+        properties[sch.tank_column(tank) + sch.TANK_TRAVEL] *= throttle
+    for curve in range(sizes.thrust_curves):
+        properties[sch.thrust_column(sizes, curve)] *= throttle
 
 
 @routine

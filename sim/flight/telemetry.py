@@ -38,6 +38,7 @@ from maxq.sim.vehicle.sensor.further import (
     rate_gyro_row,
 )
 from maxq.sim.vehicle.sensor.gyro import GyroRow, gyro_row
+from maxq.sim.vehicle.sensor.receivers import ReceiverRow, receiver_row
 from maxq.sim.vehicle.slosh.kernel import SloshRow, WaveRow, slosh_row, wave_row
 from maxq.sim.vehicle.state import (
     GYRO,
@@ -72,6 +73,7 @@ class Logged:
     external: int  # 1: with the monitored values of external flight code
     adaptive: int  # 1: with the total gain of adaptive augmenting control
     drift: int  # 1: with the drift that the computer integrates
+    receivers: int  # 1: with the sensors for navigation
 
 
 # --- fast group
@@ -131,6 +133,8 @@ def fill_fast(p: Parameters, out: Logged, memory: Memory, at: Evaluation, row: A
         column = put(row, column, adaptive_row(memory.computer.adaptive))
     if out.drift == 1:
         column = put(row, column, drift_row(memory.computer.law.drift))
+    if out.receivers == 1:
+        column = put(row, column, receiver_row(memory.receivers))
     for k in range(logged.sensors):
         first, counted = sensor_index(sizes, k), vector_at(memory.computer.sensors.value[k], 0)
         if p.vehicle.sensors[k].kind == ACCELEROMETER:
@@ -323,6 +327,7 @@ def channel_table(
     accelerometer: bool = False,
     adaptive: bool = False,
     drift: bool = False,
+    receivers: bool = False,
 ) -> ChannelTable:
     """Return the channels of a vehicle with these numbers of parts, in the order of the kernels' columns.
 
@@ -334,6 +339,7 @@ def channel_table(
     - `accelerometer`: True if the last sensor is an accelerometer.
     - `adaptive`: True to include the total gain.
     - `drift`: True to include the drift that the computer integrates.
+    - `receivers`: True to include the sensors for navigation.
     """
     topics = declared_topics(FAST, FastRow)
     kinds = (("pitch", sizes.pitch_modes), ("yaw", sizes.yaw_modes), ("spatial", sizes.spatial_modes))
@@ -367,6 +373,8 @@ def channel_table(
         topics.append(Topic("/adaptive", FAST, declared_channels(AdaptiveRow), "adaptive augmenting control"))
     if drift:
         topics.append(Topic("/drift", FAST, declared_channels(DriftRow), "drift in the computer"))
+    if receivers:
+        topics.append(Topic("/navigation_sensors", FAST, declared_channels(ReceiverRow), "sensors for navigation"))
     further = range(2, 2 + sizes.sensors - int(accelerometer))
     sensors = [declared_channels(RateGyroRow, "number", str(n), f"rate gyro {n}") for n in further]
     if accelerometer:

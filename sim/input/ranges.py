@@ -66,7 +66,7 @@ RANGES = (
     Range(("length_m", "diameter_m", "chord_m", "span_m", "yaw_chord_m", "pendulum_length_m", "pendulum_length_2_m",
            "radius_m", "port_radius_m", "vehicle_radius_m"), 1e-4, 1e3,
           "sizes of vehicles and tanks, m"),
-    Range(("position_error_m",), 0.0, 1e6, "errors of navigation, m"),
+    Range(("position_error_m", "position_bias_m", "position_noise_m"), 0.0, 1e6, "errors of navigation, m"),
     Range(("_m",), 0.0, 1e3, "stations and distances on a vehicle, m"),
     Range(("_m2",), 1e-8, 1e6, "areas of vehicles and nozzles, m2"),
     Range(("mass_kg", "generalized_mass_kg"), 1e-6, 1e8, "the heaviest rockets have 5e6 kg"),

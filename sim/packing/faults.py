@@ -17,13 +17,24 @@ from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.vehicle.faults import (
     ACTUATOR_ANGLE,
     ACTUATOR_FAULT,
+    BAROMETER_ADDED,
+    BAROMETER_DEAD,
+    BAROMETER_STUCK,
     FLOATING,
+    GNSS_ADDED,
+    GNSS_OUTAGE,
+    GNSS_STUCK,
     GYRO_ADDED,
     GYRO_LOST,
     GYRO_WALK,
     HARD_OVER,
+    LIFTOFF_SWITCH_STUCK,
+    MAGNETOMETER_ADDED,
+    MAGNETOMETER_DEAD,
+    MAGNETOMETER_STUCK,
     SENSOR_FAULT,
     SENSOR_SLOTS,
+    SEPARATION_SWITCH_STUCK,
     STUCK,
 )
 from maxq.sim.vehicle.state import GYRO, N_SENSOR
@@ -66,11 +77,38 @@ def _actuator(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
     return Write(ACTUATOR_FAULT + channel, state), Write(ACTUATOR_ANGLE + channel, angle)
 
 
+def _gnss(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
+    if fault.kind == "gnss-bias":
+        assert fault.position_bias_m is not None
+        return tuple(Write(GNSS_ADDED + k, added_m) for k, added_m in enumerate(fault.position_bias_m))
+    return (Write(GNSS_OUTAGE if fault.kind == "gnss-outage" else GNSS_STUCK),)
+
+
+def _barometer(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
+    if fault.kind == "barometer-bias":
+        return (Write(BAROMETER_ADDED, fault.bias_Pa or 0.0),)
+    return (Write(BAROMETER_STUCK if fault.kind == "barometer-stuck" else BAROMETER_DEAD),)
+
+
+def _magnetometer(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
+    if fault.kind == "magnetometer-bias":
+        return (Write(MAGNETOMETER_ADDED + axis, 1e-9 * (fault.bias_nT or 0.0)),)
+    return (Write(MAGNETOMETER_STUCK if fault.kind == "magnetometer-stuck" else MAGNETOMETER_DEAD),)
+
+
+def _switch(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
+    return (Write(LIFTOFF_SWITCH_STUCK if fault.switch == "liftoff" else SEPARATION_SWITCH_STUCK),)
+
+
 WRITES: dict[str, Callable[[Fault, int, int], tuple[Write, ...]]] = {
     "engine": lambda *_: (),  # the effect over time is known in advance: packing/schedule.py
     "gyro": _sensor,
     "accelerometer": _sensor,
     "actuator": _actuator,
+    "gnss": _gnss,
+    "barometer": _barometer,
+    "magnetometer": _magnetometer,
+    "computer": _switch,
 }
 """The functions that return the writes of a fault, by failed part.
 

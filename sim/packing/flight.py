@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maxq.control.burns import Burns
+from maxq.control.external import BOOSTER_SEPARATION, FAIRING_SEPARATION, NO_SEPARATION, STAGE_SEPARATION
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import Array, blank, pack, with_constants
 from maxq.control.kernel.tables import Pool
@@ -20,6 +21,7 @@ from maxq.sim.input.values import NS_PER_S, period_ns, to_ns
 from maxq.sim.packing.computer import pack_burns, pack_computers, pack_injections
 from maxq.sim.packing.environment import pack_environment
 from maxq.sim.packing.faults import pack_faults
+from maxq.sim.packing.gauges import pack_gauges
 from maxq.sim.packing.initial import initial_motion, thrust_exceeds_weight_s
 from maxq.sim.packing.integration import step_ns
 from maxq.sim.packing.launch import pack_launch, pack_navigation
@@ -31,6 +33,8 @@ from maxq.sim.scenario.schema_vehicle import Separation, Stage
 from maxq.sim.vehicle.engine.allocation import pack_allocation
 from maxq.sim.vehicle.engine.burn import Burn, burn_rate, leaving, stage_burns
 from maxq.sim.vehicle.loads.packing import CarriedBoosters, pack_loads
+from maxq.sim.vehicle.sensor.gauges import Gauges
+from maxq.sim.vehicle.sensor.receivers import pack_receivers
 from maxq.sim.vehicle.state import MAX_STATE, W_BI_B, Sizes, start_states
 
 CONTROL_LOST_RAD = math.radians(45.0)
@@ -79,7 +83,10 @@ def pack_flight(scenario: Scenario) -> Packed:
         stage_sizes(stage, scenario.switches, burn) for stage, burn in zip(scenario.vehicle.stage, burns, strict=True)
     ]
     frozen = scenario.run.freeze_vehicle_at_s is not None
-    stages = scenario.vehicle.stage
+    stages, computer = scenario.vehicle.stage, scenario.vehicle.computer
+    external = computer is not None and computer.law == "external"
+    sequenced = int(computer is not None and computer.sequences and not frozen)
+    receivers = pack_receivers(scenario.vehicle)
     for n, (stage, burn, sizes) in enumerate(zip(stages, burns, all_sizes, strict=True)):
         schedule = vehicle_schedule(stage, burn, sizes, scenario.switches, frozen)
         stage_start_ns = _stage_start_ns(rows, stage)
@@ -88,15 +95,18 @@ def pack_flight(scenario: Scenario) -> Packed:
         handed_on = NONE if n == 0 or frozen else _handed_on(stages, burns, all_sizes, n, pool)
         goes_on = int(stage.continues) * (DROPS if n > 0 and leaving(stages, n - 1) else 1)
         timeline = _timeline(scenario, stage, burn, stage_start_ns, burns_later, handed_on, goes_on)
+        timeline = replace(timeline, sequenced=sequenced, separates=_separates(stages, n))
         carried = carried_boosters(stage, burn, sizes) if stage.loads is not None else CarriedBoosters()
         loads = pack_loads(scenario, stage, burn, sizes, pool, carried)
         if not stage.continues:
             ignition_ns = timeline.burn_start_ns
-        guided = all(later.continues for later in stages[n + 1 :]) and not frozen
+        guided = all(later.continues for later in stages[n + 1 :]) and not frozen and not sequenced
         last = pack_burns(scenario, stage, ignition_ns) if guided else Burns()
         flies = replace(computers[n], allocation=pack_allocation(scenario, stage, burn, pool), burns=last)
         launch = pack_launch(scenario, stage)
-        rows.append(Parameters(vehicle, loads, environment, flies, launch, navigation, injections, faults, timeline))
+        gauges = pack_gauges(stage, burn, pool) if external else Gauges()
+        beside = launch, navigation, injections, faults, timeline, receivers, gauges
+        rows.append(Parameters(vehicle, loads, environment, flies, *beside))
     parameters = pack(rows)
     y = np.zeros(MAX_STATE)
     initial_motion(scenario, y)
@@ -212,7 +222,18 @@ def _timeline(
         fast_ns=period_ns(scenario.log.fast_hz),
         slow_ns=period_ns(scenario.log.slow_hz),
         seed=run.seed,
+        sequenced=0,
+        separates=NO_SEPARATION,
     )
+
+
+def _separates(stages: Sequence[Stage], n: int) -> int:
+    """Return the kind of the separation that ends stage n, as an index into external.SEPARATIONS."""
+    if n + 1 == len(stages):
+        return NO_SEPARATION
+    if not stages[n + 1].continues:
+        return STAGE_SEPARATION
+    return BOOSTER_SEPARATION if leaving(stages, n) else FAIRING_SEPARATION
 
 
 def _burn(stage: Stage, burn: Burn, stage_start_ns: int) -> tuple[int, int]:

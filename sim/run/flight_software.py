@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import math
 import os
 import weakref
 from collections.abc import Callable
@@ -20,10 +21,13 @@ from maxq.control.external import ABI
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.guard import MEMORY, Arrays, Worker, advance_to, complaint, instance_for, worker_for
 from maxq.sim.run.held_code import CodeWindows, load_kernels
-from maxq.sim.run.instances import Inputs, Instance, Outputs, Setup, Unusable, ended
+from maxq.sim.run.instances import Instance, Setup, Unusable, ended
 from maxq.sim.scenario.flight_code import code_hash
 from maxq.sim.scenario.loader import LoadedScenario
+from maxq.sim.scenario.schema_launch import OrbitTarget
 from maxq.sim.scenario.schema_vehicle import ComputerSection
+from maxq.sim.vehicle.block import R_I, V_I
+from maxq.sim.world.earth import J2
 
 KEY = "vehicle.computer"
 
@@ -78,20 +82,48 @@ def checked(loaded: LoadedScenario) -> ComputerSection:
     return computer
 
 
-def setup_of(computer: ComputerSection, packed_computer: Any, start_ns: int) -> Setup:
-    return Setup(
+def setup_of(loaded: LoadedScenario, parameters: Any, memory: Any, y: Any) -> Setup:
+    """Return the setup of a flight at its start: its records Parameters (stages,) and Memory, and its state `y`."""
+    computer, first, stages = loaded.vehicle.computer, parameters[0], loaded.vehicle.stage
+    assert computer is not None
+    packed, earth, gnss = first.computer, first.environment.earth, loaded.vehicle.gnss
+    setup = Setup(
         ctypes.sizeof(Setup),
         ABI,
-        int(packed_computer.sample_ns),
-        int(packed_computer.delay_ns),
-        start_ns,
-        int(packed_computer.allocation.groups),
-        float(packed_computer.converter.count_rad),
-        float(packed_computer.dac_step_rad),
-        float(packed_computer.command_limit_rad),
-        float(packed_computer.angle_error_limit_rad),
+        int(packed.sample_ns),
+        int(packed.delay_ns),
+        int(memory.clock.now_ns),
+        int(packed.allocation.groups),
+        float(packed.converter.count_rad),
+        float(packed.dac_step_rad),
+        float(packed.command_limit_rad),
+        float(packed.angle_error_limit_rad),
         computer.settings.encode(),
+        int(first.timeline.sequenced),
+        len(stages),
+        earth_rate_radps=float(earth.rate_radps),
+        mu_m3ps2=float(earth.mu_m3ps2),
+        j2=float(earth.j2) if earth.gravity == J2 else 0.0,
+        equator_m=float(earth.equatorial_radius_m),
     )
+    setup.start_q_RI[:] = memory.truth.start_q_BI.tolist()
+    errors = memory.navigation
+    setup.start_r_I_m[:] = (y[R_I : R_I + 3] + errors.position_m).tolist()
+    setup.start_v_I_mps[:] = (y[V_I : V_I + 3] + errors.velocity_mps).tolist()
+    force = stages[0].accelerometer
+    if gnss is not None and force is not None:
+        setup.gnss_lever_B_m[:] = (force.station_m - gnss.station_m, *gnss.offset_m)
+    return setup
+
+
+def _aim(loaded: LoadedScenario, inputs: Any) -> None:
+    """Write the target orbit of the scenario into the inputs of flight code."""
+    target = next((end for end in reversed(loaded.scenario.guidance.ends) if isinstance(end, OrbitTarget)), None)
+    inputs.target_inclination_rad = -1.0
+    if target is not None:
+        inputs.target_perigee_m, inputs.target_apogee_m = target.perigee_altitude_m, target.apogee_altitude_m
+        if target.inclination_deg is not None:
+            inputs.target_inclination_rad = math.radians(target.inclination_deg)
 
 
 class FlightSoftware:
@@ -101,7 +133,7 @@ class FlightSoftware:
         self._held = held
         if held is not None:
             load_kernels()
-        self._label, self._computer = loaded.label, checked(loaded)
+        self._loaded, self._label, self._computer = loaded, loaded.label, checked(loaded)
         self._guarded = guards(loaded)
         self._worker: Worker | None = None
         self._instance: Instance | None = None
@@ -114,9 +146,9 @@ class FlightSoftware:
         The arrays of a guarded flight are in shared memory. Raises ScenarioError if the code cannot be started.
         """
         memory = arrays[MEMORY][0]
-        setup = setup_of(self._computer, arrays[0][0].computer, int(memory.clock.now_ns))
+        setup = setup_of(self._loaded, arrays[0], memory, arrays[3])
         state = memory.computer.external
-        state.inputs.bytes, state.outputs.bytes = ctypes.sizeof(Inputs), ctypes.sizeof(Outputs)
+        _aim(self._loaded, state.inputs)
         self._arrays = arrays
         try:
             if self._guarded:
@@ -158,5 +190,7 @@ class FlightSoftware:
 
         `state` is the ExternalState in the memory of the flight.
         """
+        stage = int(self._arrays[MEMORY][0].clock.stage)
+        separation = stage, int(self._arrays[0][stage].timeline.separates)
         numbers = {name: int(getattr(state, name)) for name in ("fault", "code", "inside")}
-        return complaint(self._computer, self._said, **numbers)
+        return complaint(self._computer, self._said, **numbers, separation=separation)

@@ -62,6 +62,7 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_launch import Cutoff
 from maxq.sim.scenario.schema_scenario import MOST_HALVINGS, Scenario
+from maxq.sim.vehicle.sensor.receivers import pack_receivers
 from maxq.sim.vehicle.state import CAUSES, R_I, V_I, Sizes, state_names
 from maxq.sim.world.earth import Earth
 
@@ -127,6 +128,7 @@ class FlightRun:
             external,
             int(_adapts(loaded.scenario)),
             int(_drifts(loaded.scenario)),
+            int(self.packed.parameters[0].receivers.on),
         )
         self._on, self._off = (_logged(on, *widths) for on in (1, 0))
         self._arena = blank(Arena)
@@ -214,7 +216,8 @@ class FlightRun:
             ignition_ns, goes_on = int(timelines["burn_start_ns"][index]), timelines["continues"][index] > 0
             if goes_on and ignition_ns > timelines["separation_ns"][index - 1]:
                 goes_on = False  # the core ignites after the separation of its boosters
-            if start_ns <= ignition_ns <= clock.now_ns and ignition_ns < NEVER and not goes_on:
+            commanded = timelines["sequenced"][index] == 1  # then _burns yields the ignitions
+            if start_ns <= ignition_ns <= clock.now_ns and ignition_ns < NEVER and not goes_on and not commanded:
                 found.append(Event(IGNITION_NAME, ignition_ns, number))
             for name, times_ns in zip(_OF_STAGES, (clock.stage_burnout_ns, clock.stage_separation_ns), strict=True):
                 if times_ns[index] >= 0 and not (name == _OF_STAGES[0] and self._is_no_burnout(clock, index)):
@@ -245,18 +248,30 @@ class FlightRun:
                     yield Event(kind, time_ns, (stage + 1) * several, name)
 
     def _burns(self, clock: Clock) -> Iterator[Event]:
-        """Yield the restarts so far, and the cutoffs before restarts."""
+        """Yield the restarts and the ignitions by flight code so far, and the cutoffs before restarts."""
         several = len(self.packed.parameters) > 1
         for n in range(clock.restarts):
-            yield Event(RESTART_NAME, int(clock.restart_ns[n]), (int(clock.restart_stage[n]) + 1) * several)
+            name = IGNITION_NAME if self._is_first(clock, n) else RESTART_NAME
+            yield Event(name, int(clock.restart_ns[n]), (int(clock.restart_stage[n]) + 1) * several)
         for time_ns in self._cutoffs_ns(clock):
             stage = sum(0 <= int(separated_ns) <= time_ns for separated_ns in clock.stage_separation_ns[: clock.stage])
             yield Event(CUTOFF_NAME, time_ns, (stage + 1) * several)
 
     def _cutoffs_ns(self, clock: Clock) -> list[int]:
         """Return the times of the cutoffs before restarts, ns."""
-        times_ns = [int(time_ns) for time_ns in clock.restart_cut_off_ns[: clock.restarts]]
+        cut_off_ns = clock.restart_cut_off_ns
+        times_ns = [int(cut_off_ns[n]) for n in range(clock.restarts) if not self._is_first(clock, n)]
         return [*times_ns, clock.cut_off_ns] if self.awaits_restart else times_ns
+
+    def _is_first(self, clock: Clock, n: int) -> bool:
+        """Return True if an ignition is the first one of its engine, which flight code has commanded."""
+        timelines, stage = self.packed.parameters["timeline"], int(clock.restart_stage[n])
+        first = stage
+        while timelines["continues"][first] > 0:
+            first -= 1
+        return bool(timelines["sequenced"][stage] == 1) and not any(
+            first <= int(before) <= stage for before in clock.restart_stage[:n]
+        )
 
     def _is_no_burnout(self, clock: Clock, index: int) -> bool:
         """Return True if the burnout of a stage is a cutoff before a restart, or that of the preceding stage."""
@@ -292,6 +307,10 @@ class FlightRun:
         k = int(np.argmax(waves["largest"][0]))
         at_ns = int(waves["largest_ns"][0, k])
         return float(waves["largest"][0, k]), at_ns / 1e9 if at_ns >= 0 else math.nan
+
+    @property
+    def _sequenced(self) -> bool:
+        return bool(self.packed.parameters["timeline"]["sequenced"][0] == 1)
 
     @property
     def outcome(self) -> str:
@@ -435,7 +454,13 @@ class FlightRun:
         burnout, ends, clock = self.packed.memory["burnout"][0], self.loaded.scenario.guidance.ends, self.clock
         burning = int(self.packed.memory["held"]["burning"][0])
         happened = clock.restarts > 0 or 0 < clock.cut_off_ns <= burnout.time_ns  # a cutoff may be due after the end
-        end = ends[max(clock.restarts - burning, 0)] if happened else None
+        end = ends[max(clock.restarts - burning, 0)] if happened and not self._sequenced else None
+        if (
+            self._sequenced
+            and clock.stage + 1 == len(self.packed.parameters)
+            and burnout.time_ns >= clock.cut_off_ns > 0
+        ):
+            end = ends[-1]
         times_s |= dict.fromkeys(CutoffMetrics._fields, math.nan if end is None else burnout.time_ns / 1e9)
         if end is None:
             return dict.fromkeys(CutoffMetrics._fields, math.nan)
@@ -542,6 +567,7 @@ def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
         senses,
         _adapts(scenario),
         _drifts(scenario),
+        pack_receivers(scenario.vehicle).on == 1,
     )
 
 

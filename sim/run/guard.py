@@ -31,10 +31,25 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from maxq.control.external import BAD_THRUSTER, CRASHED, NOT_FINITE, OVERWROTE, STUCK
+from maxq.control.external import (
+    ABORTED,
+    BAD_SEPARATION,
+    BAD_THROTTLE,
+    BAD_THRUSTER,
+    BAD_TURN,
+    CRASHED,
+    EARLY,
+    NO_SEPARATION,
+    NOT_FINITE,
+    OVERWROTE,
+    SEPARATIONS,
+    STUCK,
+    THROTTLE,
+    TOO_MANY,
+)
 from maxq.control.kernel.records import dtype_of
 from maxq.sim.flight.loop import advance
-from maxq.sim.flight.parameters import Memory
+from maxq.sim.flight.parameters import MAX_IGNITIONS, Memory
 from maxq.sim.input.errors import printable
 from maxq.sim.run.hashed_reads import only_hashed_reads
 from maxq.sim.run.held_code import CodeWindows, HeldCode
@@ -134,7 +149,8 @@ class Worker:
         self._seen["inside"][0] = ENDING  # otherwise, closing would have no time limit
         self._seen["fault"][0] = 0
         clean, said = self._done(b"C")
-        text = complaint(self.computer, said, **{name: int(value[0]) for name, value in self._seen.items()})
+        fault, code, inside = (int(self._seen[name][0]) for name in ("fault", "code", "inside"))
+        text = complaint(self.computer, said, fault, code, inside)
         self._seen.clear()
         if not clean:
             self.end()
@@ -198,22 +214,39 @@ def _kill_group(pid: int) -> None:
         os.killpg(pid, signal.SIGKILL)
 
 
-_COMMANDS = ("gimbal_rad[0], pitch", "gimbal_rad[1], yaw", "roll_gimbal_rad")
+_COMMANDS = ("gimbal_rad[0], pitch", "gimbal_rad[1], yaw", "roll_gimbal_rad", "cutoff_delay_s", "commanded_q_BR")
+_RANGES = ("not a finite number, or beyond 1e6 rad",) * 3 + ("not from 0 to 1000 s", "not finite, or beyond 1e6")
+_TEXTS = {
+    BAD_THRUSTER: "gave roll_thruster = {}: allowed is -1, 0 or 1",
+    BAD_TURN: "gave turn_thruster = {}: allowed is -1, 0 or 1",
+    BAD_THROTTLE: f"gave throttle: allowed is 0, or {THROTTLE[0]:g} to {THROTTLE[1]:g}",
+    ABORTED: "aborted the flight with abort = {}",
+    TOO_MANY: f"commanded more than {MAX_IGNITIONS} ignitions",
+    OVERWROTE: OVERWROTE_TEXT,
+}
 _DURING = {0: "between two samples", 1: "in its step", STARTING: "at its start", ENDING: "at its end"}
 
 
-def complaint(computer: ComputerSection, said: str, fault: int, code: int, inside: int, calls: int = 0) -> str:
+def complaint(
+    computer: ComputerSection,
+    said: str,
+    fault: int,
+    code: int,
+    inside: int,
+    separation: tuple[int, int] = (0, NO_SEPARATION),
+) -> str:
     """Return the description of a fault of flight code, without control characters; without a fault, `said`.
 
-    `said` is the message of the code. The numbers are the fields of ExternalState.
+    `said` is the message of the code. `fault`, `code` and `inside` are the fields of ExternalState. `separation` is the
+    number of the stage, from 0, and the separation that ends it, an index into SEPARATIONS.
     """
     during = _DURING.get(inside, "")
-    if fault == NOT_FINITE and 0 <= code < len(_COMMANDS):
-        said = f"gave {_COMMANDS[code]}: not a finite number, or beyond 1e6 rad"
-    elif fault == BAD_THRUSTER:
-        said = f"gave roll_thruster = {code}: allowed is -1, 0 or 1"
-    elif fault == OVERWROTE:
-        said = OVERWROTE_TEXT
+    if fault in _TEXTS:
+        said = _TEXTS[fault].format(code)
+    elif fault == NOT_FINITE and 0 <= code < len(_COMMANDS):
+        said = f"gave {_COMMANDS[code]}: {_RANGES[code]}"
+    elif fault in (BAD_SEPARATION, EARLY):
+        said = _separation_text(fault, code, *separation)
     elif fault == CRASHED:
         said = _end_text(code, during)
     elif fault == STUCK:
@@ -222,6 +255,14 @@ def complaint(computer: ComputerSection, said: str, fault: int, code: int, insid
     elif fault != 0:
         said = said or f"its step returned {code}"
     return printable(said)
+
+
+def _separation_text(fault: int, code: int, stage: int, ends: int) -> str:
+    """Return the description of a separation that the vehicle does not allow at this time."""
+    due = SEPARATIONS[ends] or "no separation"
+    if fault == BAD_SEPARATION and 0 <= code < len(SEPARATIONS):
+        return f"commanded {SEPARATIONS[code]} in stage {stage + 1}: allowed is {due}"
+    return f"commanded {due} in stage {stage + 1} before the tables of stage {stage + 2} begin"
 
 
 def _end_text(code: int, during: str) -> str:

@@ -51,7 +51,6 @@ DIFFERS = "gives other commands for the same inputs"
 """The beginning of the error message for flight code that fails the replay check."""
 
 _IN, _OUT = dtype_of(FswInputs), dtype_of(FswOutputs)
-_BLANK = bytes(Outputs(bytes=ctypes.sizeof(Outputs)))
 _COMMANDS = ("gimbal_rad[0]", "gimbal_rad[1]", "roll_gimbal_rad", "roll_thruster")
 
 
@@ -180,7 +179,7 @@ class HeldCode(Instance):
     def _ask(self) -> tuple[float, ...] | None:
         """Return the commands of the instance for the present inputs, or None if its step fails."""
         assert self._instance is not None
-        ctypes.memmove(self._structs[1], _BLANK, len(_BLANK))
+        ctypes.memmove(self._structs[1], self._blank, len(self._blank))
         if self._fails(*self._structs):
             return None
         a = self._answer
@@ -242,11 +241,13 @@ class HeldCode(Instance):
         if self._computer.python is not None:
             _forget_modules(Path(self._computer.python.file).parent)
         self._instance = started(self._computer, Setup.from_buffer_copy(self._held.tape.setup))
+        self.version = self._instance.version
         self._instance.connect(self._calls[0], self._structs, self._watched)
+        self._blank = bytes(Outputs(bytes=self._answer.bytes))
 
     def _answers(self, inputs: Records) -> Array:
         """Return the commands (n, 4) of the instance for consecutive inputs, up to the first failure."""
-        given, taken = np.array(inputs), np.frombuffer(bytearray(_BLANK * len(inputs)), _OUT)
+        given, taken = np.array(inputs), np.frombuffer(bytearray(self._blank * len(inputs)), _OUT)
         first_in, first_out = given.ctypes.data, taken.ctypes.data
         for k in range(len(given)):
             if k % 256 == 0:

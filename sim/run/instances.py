@@ -30,7 +30,7 @@ from types import ModuleType
 from typing import Any, NoReturn
 from urllib.parse import urlsplit
 
-from maxq.control.external import ABI, FswInputs, FswOutputs
+from maxq.control.external import ABI, FIRST_OF_VERSION_2, FswInputs, FswOutputs
 from maxq.control.kernel.records import dtype_of
 from maxq.sim.run.protection import FloatingPoint, GuardedMemory, Protection, own_floating_point
 from maxq.sim.run.sandbox import confine, sandbox_problem
@@ -69,7 +69,30 @@ class Setup(ctypes.Structure):
             for name in ("count_rad", "dac_step_rad", "command_limit_rad", "angle_error_limit_rad")
         ),
         ("settings", ctypes.c_char * (SETTINGS_BYTES + 1)),
+        *((name, ctypes.c_int64) for name in ("sequencing", "stages")),
+        ("start_q_RI", ctypes.c_double * 4),
+        *((name, ctypes.c_double * 3) for name in ("start_r_I_m", "start_v_I_mps", "gnss_lever_B_m")),
+        *((name, ctypes.c_double) for name in ("earth_rate_radps", "mu_m3ps2", "j2", "equator_m")),
     ]
+
+
+_OF_VERSION_1 = {
+    Setup: Setup.sequencing.offset,
+    Inputs: getattr(Inputs, FIRST_OF_VERSION_2["inputs"]).offset,
+    Outputs: getattr(Outputs, FIRST_OF_VERSION_2["outputs"]).offset,
+}
+
+
+def size_of(struct: Any, version: int) -> int:
+    """Return the size of a struct in a version of maxq_fsw.h, bytes."""
+    return ctypes.sizeof(struct) if version == ABI else _OF_VERSION_1[struct]
+
+
+def setup_for(setup: Setup, version: int) -> Setup:
+    """Return the setup for code of a version of maxq_fsw.h."""
+    out = Setup.from_buffer_copy(setup)
+    out.bytes, out.abi = size_of(Setup, version), version
+    return out
 
 
 class Unusable(Exception):
@@ -80,21 +103,27 @@ class Instance(ABC):
     """A running instance of flight code.
 
     `step` is the address of the C function that the flight calls, and `address` that of its first argument. `error` is
-    the message of the first error, or empty. `floating_point` is the environment of the code after its start.
+    the message of the first error, or empty. `floating_point` is the environment of the code after its start. `version`
+    is that of maxq_fsw.h which the code uses. `sizes` are those of the inputs that `step` reads and of the outputs that
+    it writes, bytes.
     """
 
     step: int
     address = 0
     error = ""
     floating_point: FloatingPoint
+    version = ABI
+    sizes: tuple[int, int] = (ctypes.sizeof(Inputs), ctypes.sizeof(Outputs))
 
     def connect(self, call: Any, structs: tuple[int, int], watched: tuple[int, int] = (0, 0)) -> None:
-        """Write into the ProtectedCall `call` how the code is called.
+        """Write into the ProtectedCall `call` how the code is called, and into the structs their sizes in its version.
 
         `structs` are the addresses of the simulator's inputs and outputs. `watched` is the address and the size of
         memory that the code must not change; a size of 0 stands for none.
         """
-        self._protection = Protection(self.floating_point)
+        for kind, address in zip((Inputs, Outputs), structs, strict=True):
+            kind.from_address(address).bytes = size_of(kind, self.version)
+        self._protection = Protection(self.floating_point, *self.sizes)
         self._protection.bind(call, self.step, self.address, *structs)
         if watched[1] > 0:
             self._protection.watch(call, *watched)
@@ -124,15 +153,16 @@ class _Library(Instance):
         library.maxq_fsw_bytes.restype = ctypes.c_int64
         library.maxq_fsw_close.restype = None
         made_for, size = library.maxq_fsw_abi(), library.maxq_fsw_bytes()
-        if made_for != ABI:
-            raise Unusable(f"is made for version {made_for} of maxq_fsw.h, this is version {ABI}")
+        if not 1 <= made_for <= ABI:
+            raise Unusable(f"is made for version {made_for} of maxq_fsw.h, allowed are versions 1 to {ABI}")
+        self.version, self.sizes = made_for, (size_of(Inputs, made_for), size_of(Outputs, made_for))
         if not 0 <= size <= _MOST_BYTES:
             raise Unusable(f"wants {size} bytes for an instance, allowed are 0 to {_MOST_BYTES}")
         self._library = library
         self._memory = GuardedMemory(-(-size // _ALIGNMENT) * _ALIGNMENT)
-        self._setup = GuardedMemory(ctypes.sizeof(Setup))
+        self._setup = GuardedMemory(size_of(Setup, made_for))
         self.address = self._memory.address
-        ctypes.memmove(self._setup.address, ctypes.byref(setup), ctypes.sizeof(Setup))
+        ctypes.memmove(self._setup.address, ctypes.byref(setup_for(setup, made_for)), self._setup.size)
         refused = library.maxq_fsw_init(ctypes.c_void_p(self.address), ctypes.c_void_p(self._setup.address))
         if refused:
             raise Unusable(f"maxq_fsw_init returned {refused}")
@@ -191,6 +221,7 @@ class _PythonClass(_InPython):
             if not callable(getattr(found, "step", None)):
                 raise Unusable(f"{code.member} has no method step")
             self._object = found(setup)
+            self.version = int(getattr(self._object, "interface", 1))
         except Unusable:
             raise
         except BaseException as error:
@@ -252,8 +283,9 @@ class _Remote(_InPython):
     Over UDP, a message is a datagram. Answers to earlier messages are ignored, and lost messages are not sent again.
     """
 
-    def __init__(self, address: str, timeout_s: float, setup: Setup) -> None:
+    def __init__(self, address: str, timeout_s: float, setup: Setup, version: int) -> None:
         super().__init__()
+        self.version = version
         parts, self._number, self._timeout_s, self._address = urlsplit(address), 0, timeout_s, address
         self._stream = parts.scheme == "tcp"
         place = (parts.hostname or "", parts.port or 0)
@@ -265,7 +297,7 @@ class _Remote(_InPython):
                 family = socket.AF_INET6 if ":" in place[0] else socket.AF_INET
                 self._socket = socket.socket(family, socket.SOCK_DGRAM)
                 self._socket.connect(place)
-            code, _ = self._ask(SETUP, bytes(setup), 0)
+            code, _ = self._ask(SETUP, bytes(setup_for(setup, version))[: size_of(Setup, version)], 0)
         except OSError as error:
             raise Unusable(self._said(error)) from None
         if code:
@@ -273,7 +305,8 @@ class _Remote(_InPython):
 
     def answer(self, inputs: Any, outputs: Any) -> int:
         try:
-            code, content = self._ask(STEP, bytes(inputs), ctypes.sizeof(Outputs))
+            given = bytes(inputs)[: size_of(Inputs, self.version)]
+            code, content = self._ask(STEP, given, size_of(Outputs, self.version))
         except OSError as error:
             self.error = self._said(error)
             return 1
@@ -341,7 +374,7 @@ class _Sandboxed(_InPython):
         if self._pid == 0:
             _serve_sandbox(theirs, computer)
         theirs.close()
-        _, _, error = self._ask(bytes(setup))
+        self.version, _, error = self._ask(bytes(setup))
         if error:
             raise Unusable(error)
 
@@ -356,7 +389,10 @@ class _Sandboxed(_InPython):
             raise Unusable(error)
 
     def _ask(self, message: bytes) -> tuple[int, bytes, str]:
-        """Send a struct to the process, and return the code, the outputs and the error of its answer."""
+        """Send a struct to the process, and return the code, the outputs and the error of its answer.
+
+        The code of the answer to the setup is the version of maxq_fsw.h.
+        """
         try:
             self._line.send_bytes(message)
             answer = self._line.recv_bytes()
@@ -381,13 +417,13 @@ def _serve_sandbox(line: Any, computer: ComputerSection) -> NoReturn:
             if instance is None:
                 try:
                     instance = started(computer.model_copy(update={"sandbox": False}), Setup.from_buffer_copy(message))
-                    step = StepFunction(instance.step)
+                    step, code = StepFunction(instance.step), instance.version
                 except Unusable as problem:
                     code, error = 1, str(problem) or "cannot be started"
             else:
                 ctypes.memmove(ctypes.addressof(given), message, len(message))
                 ctypes.memset(ctypes.addressof(taken), 0, ctypes.sizeof(taken))
-                taken.bytes = ctypes.sizeof(taken)
+                taken.bytes = size_of(Outputs, instance.version)
                 code = step(instance.address, ctypes.addressof(given), ctypes.addressof(taken))
                 error = (instance.error or f"its step returned {code}") if code else ""
             line.send_bytes(_CODE.pack(code) + bytes(taken) + error.encode())
@@ -442,10 +478,16 @@ def ended(instance: Instance) -> str:
 
 
 def _started(computer: ComputerSection, setup: Setup) -> Instance:
+    found: Instance
     if computer.sandbox:
-        return _Sandboxed(computer, setup)
-    if computer.library is not None:
-        return _Library(computer.library, setup)
-    if computer.python is not None:
-        return _PythonClass(computer.python, setup)
-    return _Remote(computer.address or "", computer.timeout_s, setup)
+        found = _Sandboxed(computer, setup)
+    elif computer.library is not None:
+        found = _Library(computer.library, setup)
+    elif computer.python is not None:
+        found = _PythonClass(computer.python, setup)
+    else:
+        found = _Remote(computer.address or "", computer.timeout_s, setup, computer.interface or 1)
+    if computer.sequences and found.version < 2:
+        found.close()
+        raise Unusable(f"is made for version {found.version} of maxq_fsw.h: sequencing = 'flight-code' needs version 2")
+    return found

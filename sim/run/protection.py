@@ -18,9 +18,6 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
-from maxq.control.external import FswInputs, FswOutputs
-from maxq.control.kernel.records import dtype_of
-
 GUARD = 1 << 20
 """The length of each range of inaccessible pages, bytes."""
 OVERWROTE_TEXT = "overwrote memory of the simulator in its step"
@@ -112,10 +109,10 @@ def own_floating_point() -> Iterator[FloatingPoint]:
 
 
 class Protection:
-    """The memory behind a ProtectedCall (control/external.py)."""
+    """The memory behind a ProtectedCall (control/external.py), for inputs and outputs of these sizes, bytes."""
 
-    def __init__(self, code_mode: FloatingPoint) -> None:
-        self._given, self._taken = (GuardedMemory(dtype_of(schema).itemsize) for schema in (FswInputs, FswOutputs))
+    def __init__(self, code_mode: FloatingPoint, given_bytes: int, taken_bytes: int) -> None:
+        self._given, self._taken = GuardedMemory(given_bytes), GuardedMemory(taken_bytes)
         self._own_mode, self._code_mode = FloatingPoint(), code_mode
         self._kept: Any = None
 

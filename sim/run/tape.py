@@ -25,9 +25,7 @@ def record(loaded: LoadedScenario) -> Tape:
     code cannot be started.
     """
     run = FlightRun(loaded, log=False)
-    computer = run.loaded.vehicle.computer
-    assert computer is not None
-    setup = bytes(setup_of(computer, run.packed.parameters[0].computer, run.clock.now_ns))
+    setup = bytes(setup_of(run.loaded, run.packed.parameters, run.memory, run.packed.state))
     inputs, outputs, calls = [], [], 0
     stages = len(loaded.vehicle.stage)
     while not run.finished:

@@ -13,7 +13,7 @@ from pydantic import Field
 from maxq.control.kernel.limits import MAX_ENGINES, MAX_SENSORS, MAX_STAGES
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.tables_csv import Columns, CsvTable
-from maxq.sim.input.values import Fraction, Positive, Seconds, Section, optional
+from maxq.sim.input.values import Fraction, Positive, Seconds, Section, Triple, optional
 
 FaultKind = Literal[
     "engine-off",
@@ -29,11 +29,21 @@ FaultKind = Literal[
     "actuator-stuck",
     "actuator-hard-over",
     "actuator-floating",
+    "gnss-outage",
+    "gnss-stuck",
+    "gnss-bias",
+    "barometer-stuck",
+    "barometer-dead",
+    "barometer-bias",
+    "magnetometer-stuck",
+    "magnetometer-dead",
+    "magnetometer-bias",
+    "switch-stuck",
 ]
 
 
 class FaultAbout(NamedTuple):
-    """The keys of a kind of fault. `part` is a key that the section of the stage must have."""
+    """The keys of a kind of fault. `part` is a key that the section of the stage, or of the vehicle, must have."""
 
     part: str
     axes: tuple[str, ...] = ()  # allowed values of `axis`
@@ -43,7 +53,7 @@ class FaultAbout(NamedTuple):
 
     @property
     def keys(self) -> tuple[str, ...]:
-        return *self.targets, *self.values, *self.options
+        return (*dict.fromkeys((*self.targets, *self.values, *self.options)),)
 
 
 _TURNS, _GIMBALS, _ALONG = ("roll", "pitch", "yaw"), ("pitch", "yaw"), ("x", "y", "z")
@@ -62,7 +72,19 @@ KINDS: dict[FaultKind, FaultAbout] = {
     "actuator-stuck": FaultAbout("actuator", _GIMBALS, ("axis", "group")),
     "actuator-hard-over": FaultAbout("actuator", _GIMBALS, ("axis", "group"), ("angle_deg",)),
     "actuator-floating": FaultAbout("actuator", _GIMBALS, ("axis", "group")),
+    "gnss-outage": FaultAbout("gnss"),
+    "gnss-stuck": FaultAbout("gnss"),
+    "gnss-bias": FaultAbout("gnss", (), (), ("position_bias_m",)),
+    "barometer-stuck": FaultAbout("barometer"),
+    "barometer-dead": FaultAbout("barometer"),
+    "barometer-bias": FaultAbout("barometer", (), (), ("bias_Pa",)),
+    "magnetometer-stuck": FaultAbout("magnetometer"),
+    "magnetometer-dead": FaultAbout("magnetometer"),
+    "magnetometer-bias": FaultAbout("magnetometer", _ALONG, ("axis",), ("bias_nT",)),
+    "switch-stuck": FaultAbout("computer", (), ("switch",), ("switch",)),
 }
+OF_VEHICLE = ("gnss", "barometer", "magnetometer", "computer")
+"""The parts of the vehicle, which all stages share."""
 _OF_KINDS = tuple(dict.fromkeys(key for kind in KINDS.values() for key in kind.keys))
 
 
@@ -74,7 +96,8 @@ class Fault(Section):
         "accelerometer-stuck: constant output; -dead: zero output; -bias, -noisy: a constant or noise is added; "
         "actuator-stuck: constant servo position; actuator-hard-over: the servo moves to angle_deg within its limits; "
         "actuator-floating: no force, and the engine swings freely on its gimbal (without a TVC load the servo is "
-        "centred)"
+        "centred); gnss-outage: no solutions; gnss-stuck: the last solution with new times; switch-stuck: a discrete "
+        "input of flight code does not change"
     )
     at_s: Seconds = Field(description="instant of the failure, s, whole ns")
     since: Literal["clock", "liftoff"] = optional("zero of at_s and until_s: vehicle clock or liftoff", "clock")
@@ -93,6 +116,10 @@ class Fault(Section):
     angle_deg: float | None = optional("actuator-hard-over: target angle, deg, within the angle limit")
     bias_degps: float | None = optional("gyro-bias: added to the output, deg/s")
     bias_mps2: float | None = optional("accelerometer-bias: added to the output, m/s2")
+    position_bias_m: Triple | None = optional("gnss-bias: added to the position, north, east, down, m")
+    bias_Pa: float | None = optional("barometer-bias: added to the output, Pa")
+    bias_nT: float | None = optional("magnetometer-bias: added to the output, nT")
+    switch: Literal["liftoff", "separation"] | None = optional("switch-stuck: the switch, or all those of separations")
     noise_mps_rt_h: Positive | None = optional("accelerometer-noisy: additional velocity random walk, m/s/sqrt(h)")
     noise_deg_rt_h: Positive | None = optional("gyro-noisy: additional angle random walk, deg/sqrt(h)")
     engine: int | None = optional("engine number in the stage, from 0 (default: all)", None, ge=0, lt=MAX_ENGINES)
@@ -110,7 +137,7 @@ class Fault(Section):
             named = ", ".join(name for name, other in KINDS.items() if key in other.keys)
             self.only_with((key,), key in kind.keys, f"kind = {named}")
         for key in kind.values:
-            self.needs(key, f"kind is {self.kind}", "a number")
+            self.needs(key, f"kind is {self.kind}", '"liftoff", "separation"' if key == "switch" else "a number")
         if self.axis is not None and self.axis not in kind.axes:
             raise refuse(f"{self.kind} has no such axis", ", ".join(kind.axes), "axis")
         if self.tail_off is not None:

@@ -29,7 +29,7 @@ from maxq.sim.input.values import (
 from maxq.sim.scenario.coverage import check_gains, check_programme, check_stages
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_environment import AtmosphereSection, EarthSection, Site, WindSection
-from maxq.sim.scenario.schema_fault import KINDS, Fault
+from maxq.sim.scenario.schema_fault import KINDS, OF_VEHICLE, Fault
 from maxq.sim.scenario.schema_launch import Cutoff, NavigationSection, OrbitTarget, Rail, Restart, Tower
 from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
 from maxq.sim.vehicle.loads.section import SECTION_PREFIX, check_line_mass
@@ -531,7 +531,10 @@ class Scenario(Section):
             groups = max(len(stage.engine_groups) for stage in concerned)
             if fault.group is not None and fault.group >= groups:
                 raise refuse("the vehicle has no such group", f"0 .. {groups - 1}", ("fault", n, "group"))
-            if not any(getattr(stage, part) for stage in concerned):
+            owners = (self.vehicle,) if part in OF_VEHICLE else concerned
+            if not any(getattr(owner, part) for owner in owners):
+                if part in OF_VEHICLE:
+                    raise refuse(f"there is no {part} to fail", f"with [{part}] only", ("fault", n, "kind"))
                 raise refuse(f"there is no {part} to fail", f"with [{part}] in the stage only", ("fault", n, "kind"))
             gyros = 1 + len(self.vehicle.stage[0].rate_gyro)
             if fault.gyro is not None and fault.gyro > gyros:

@@ -40,7 +40,14 @@ from maxq.sim.vehicle.modes.tables import (
     over_time,
     spatial_mode_table,
 )
-from maxq.sim.vehicle.sensor.section import Accelerometer, GyroSection, RateGyro
+from maxq.sim.vehicle.sensor.section import (
+    Accelerometer,
+    BarometerSection,
+    GnssSection,
+    GyroSection,
+    MagnetometerSection,
+    RateGyro,
+)
 from maxq.sim.vehicle.slosh.section import SECOND_MODE, Tank
 from maxq.sim.vehicle.tvc_load.section import TvcLoadSection
 
@@ -71,6 +78,10 @@ class ComputerSection(Section):
         "folder or file that the flight code reads: hashed; guarded Python code can read no other data"
     )
     settings: Settings = optional("text passed to the flight code at its start", "")
+    interface: Literal[1, 2] | None = optional("version of maxq_fsw.h that the computer at address uses (default: 1)")
+    sequencing: Literal["scenario", "flight-code"] = optional(
+        "source of ignitions, cutoffs, throttle and separations; flight-code: version 2", "scenario"
+    )
     timeout_s: Positive = optional("time limit of the flight code for one sample, s", 2.0)
     guard: bool = optional("run the flight code in its own process; off: a crash ends maxq, for debuggers", True)
 
@@ -85,6 +96,11 @@ class ComputerSection(Section):
         return {key: file for key, file in every.items() if file is not None}
 
     @property
+    def sequences(self) -> bool:
+        """Return True if flight code commands ignitions, cutoffs, throttle and separations."""
+        return self.sequencing == "flight-code"
+
+    @property
     def code_keys(self) -> tuple[str, ...]:
         """Return the given keys that name flight code."""
         return tuple(key for key in _CODE if getattr(self, key) is not None)
@@ -93,6 +109,11 @@ class ComputerSection(Section):
         self.only_with(_CODE, self.law == "external", "law = 'external'")
         self.at_most_one(*_CODE)
         self.only_with(("sources",), self.library is not None, "library")
+        self.only_with(("interface",), self.address is not None, "address")
+        if self.sequences and self.law != "external":
+            raise refuse("the design commands no sequence", "flight-code with law = 'external'", ("sequencing",))
+        if self.sequences and self.address is not None and self.interface != 2:
+            raise refuse("needs version 2 of maxq_fsw.h", "flight-code with interface = 2", ("sequencing",))
         self.only_with(("data",), self.library is not None or self.python is not None, "library or python")
         if self.sandbox and (self.address is not None or not self.guard or not self.code_keys):
             raise refuse("is for a guarded library or Python class only", "false", ("sandbox",))
@@ -560,6 +581,9 @@ class Vehicle(Section):
     reference: Reference
     stage: tuple[Stage, ...] = Field(min_length=1, max_length=MAX_STAGES, description="stages in the order of flight")
     computer: ComputerSection | None = optional("absent: no flight computer; the gimbal angle stays at zero")
+    gnss: GnssSection | None = optional("absent: none")
+    barometer: BarometerSection | None = optional("absent: none")
+    magnetometer: MagnetometerSection | None = optional("absent: none")
 
     def _check(self) -> None:
         last = len(self.stage) - 1

@@ -37,11 +37,12 @@ _DIMENSIONS = {
     "kg": {"kg": 1},
     "Pa": {"kg": 1, "m": -1, "s": -2},
     "s": {"s": 1},
+    "T": {"kg": 1, "s": -2, "A": -1},
 }
 """The exponents of the SI base units in each unit."""
 UNITS = tuple(_DIMENSIONS)
 _SUFFIXES = {unit_suffix(unit): unit for unit in UNITS}
-_HOST = ["vehicle.computer.law=external", "vehicle.computer.address=tcp://127.0.0.1:1"]
+_HOST = ["vehicle.computer.law=external", "vehicle.computer.address=tcp://127.0.0.1:1", "vehicle.computer.interface=2"]
 _OTHER_CODE = ("library", "python", "sources", "data")
 _PATIENCE = "vehicle.computer.timeout_s=100000"  # the master may be a person
 

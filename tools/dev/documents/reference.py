@@ -69,8 +69,8 @@ _EVENTS = (
 )
 _EVENT_MEANINGS = {
     IGNITION_NAME: "the engine of a stage begins to burn",
-    CUTOFF_NAME: "the guidance cuts the last engine off before a restart",
-    RESTART_NAME: "the last engine is ignited again",
+    CUTOFF_NAME: "the guidance or flight code cuts an engine off before a restart",
+    RESTART_NAME: "an engine is ignited again",
     RAIL_EXIT_NAME: "the last button leaves the launch rail",
     "booster_ignition": "a booster begins to burn; the text names it",
     "booster_burnout": "a booster burns out while it is attached; the text names it",
@@ -121,7 +121,14 @@ def topics(scenario: str) -> str:
     first = f"station 1 at {stage.loads.stations_m[0]:g} m"
     return topics_markdown(
         channel_table(
-            sizes, stage.pendulum_names, (first,), external=True, accelerometer=True, adaptive=True, drift=True
+            sizes,
+            stage.pendulum_names,
+            (first,),
+            external=True,
+            accelerometer=True,
+            adaptive=True,
+            drift=True,
+            receivers=True,
         )
     )
 
