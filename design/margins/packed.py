@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 import scipy.linalg
@@ -19,11 +20,11 @@ from maxq.design.margins.response import LoopResponse, values_at
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain, channels, zeros_and_poles
 from maxq.sim.input.remembered import cached_by_identity
 
-Factors = tuple[ComplexArray, ComplexArray, float]
+Factors: TypeAlias = "tuple[ComplexArray, ComplexArray, float]"
 _SAME = 1e-9  # relative tolerance of the law's response from its zeros and poles
 _SAME_LOOP = 1e-8  # tolerance of the whole response: at 1e-4 Hz the reference method loses eight digits of z - 1
 _PROBES = 40
-_LOWEST_HZ = {Loop: 1e-4, OneLoop: 2.5e-4}  # of the probes; curves with other loops closed begin above
+_LOWEST_HZ = 1e-4, 2.5e-4  # of the probes; curves with other loops closed begin above the second
 
 
 def controller_factors(law: Controller, period: float, controller: Callable[[Array], ComplexArray]) -> Factors:
@@ -70,7 +71,7 @@ def packed(loop: OpenLoop) -> LoopResponse | None:
         return None
     if found is None:
         return None
-    hz = np.geomspace(_LOWEST_HZ[type(loop)], loop.highest_hz, _PROBES)
+    hz = np.geomspace(_LOWEST_HZ[isinstance(loop, OneLoop)], loop.highest_hz, _PROBES)
     known = loop.response(hz)
     same = np.abs(_values(hz, found) - known) <= _SAME_LOOP * np.abs(known) + 1e-13
     return found if same.all() else None

@@ -94,13 +94,15 @@ def worst_error(scenario: Scenario) -> MethodError | None:
 def unstable(scenario: Scenario) -> Oscillation | None:
     """Return an oscillation that grows without bound for the integrator alone, or None if there is none.
 
-    Steps are not longer than run.step_s and the sample period. With run.accuracy, they follow from the oscillations.
+    Steps are not longer than run.step_s, and end at samples and commands of the computer. With run.accuracy, they
+    follow from the oscillations.
     """
-    stages = scenario.vehicle.stage
-    samples_s = [c.sample_s for n in range(len(stages)) if (c := scenario.vehicle.computer_of(n))]
-    step_s = min(scenario.run.step_s, max(samples_s, default=math.inf))
     if scenario.run.accuracy is not None:
         return None
+    delays = scenario.switches.delay
+    computers = [c for n in range(len(scenario.vehicle.stage)) if (c := scenario.vehicle.computer_of(n))]
+    pieces_s = [max(c.delay_s, c.sample_s - c.delay_s) if delays else c.sample_s for c in computers]
+    step_s = min(scenario.run.step_s, max(pieces_s, default=math.inf))
     return next((o for o in oscillations(scenario) if _growth(o, step_s) > 1.0 + 1e-9), None)
 
 

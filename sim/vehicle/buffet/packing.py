@@ -25,7 +25,7 @@ def pack_buffet(stage: Stage, seed: int, pool: Pool) -> Buffet:
     """Return the stage's buffet, and add its filters to `pool`."""
     given, stations = stage.buffet, np.zeros(MAX_BUFFETS)
     if given is None:
-        return Buffet(seed, 1, 0, 0, 0, 0, 0.0, stations)
+        return Buffet(0, 1, 0, 0, 0, 0, 0.0, stations)
     frequency_hz, density, mach = given.frequency_hz, given.density, given.mach
     tick_ns = math.floor(NS_PER_S / (OVERSAMPLING * float(frequency_hz[-1])))
     taps = _filters(frequency_hz.tobytes(), density.tobytes(), density.shape[:2], tick_ns / NS_PER_S)
