@@ -66,7 +66,8 @@ def _nearest(f: Array, loop: ComplexArray, source: LoopResponse, distance: Array
         m += 1
     hz = solving.minima(kind[:m], points[:m], around[:m], source, none)  # NaN values are left unchanged
     near = np.abs(1.0 + values_at(hz, source))
-    distance[:m], distance_hz[:m] = near, hz
+    for k in range(m):
+        distance[k], distance_hz[k] = near[k], hz[k]
 
 
 @routine
