@@ -30,6 +30,8 @@ from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.investigation import refly
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.fly import fly
+from maxq.sim.run.instances import Inputs, Outputs, size_of
+from maxq.sim.run.sandbox import sandbox_problem
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 from maxq.tools.design.export import export_c
@@ -84,6 +86,30 @@ def test_a_library_of_version_1_flies_unchanged(tmp_path: Path) -> None:
     ]
     assert flights[0].outcome == "duration"
     assert flights[0].state_hash == flights[1].state_hash
+
+
+@needs_compiler
+@pytest.mark.skipif(bool(sandbox_problem()), reason=sandbox_problem() or "there is a sandbox")
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_library_in_a_sandbox_receives_the_structs_of_its_version(tmp_path: Path, version: int) -> None:
+    if version == 1:
+        (tmp_path / "maxq_fsw.h").write_text(VERSION_1.read_text())
+    source = tmp_path / "sizes.c"
+    step = f"""
+    out->gimbal_rad[0] = -1.1 * in->attitude_error_rad[1];
+    out->monitor[0] = (double)in->bytes, out->monitor[1] = (double)out->bytes, out->monitor[2] = {version};
+    """
+    source.write_text(SEQUENCE.replace("STEP", step).replace("s->sequencing == 1 ? 0 : 1", "s->abi - MAXQ_FSW_ABI"))
+    code = flies(library=compiled(tmp_path, source, "sizes"))
+    flights = [
+        fly(load_scenario("nominal", ["run.duration_s=3", "requirement=", *code, *more]))
+        for more in ([], ["vehicle.computer.sandbox=true"])
+    ]
+    assert flights[0].outcome == "duration"
+    assert flights[0].state_hash == flights[1].state_hash
+    for flight in flights:
+        sizes = [flight[f"monitor_{k}"][-1] for k in (1, 2, 3)]
+        assert sizes == [size_of(Inputs, version), size_of(Outputs, version), version]
 
 
 @needs_compiler

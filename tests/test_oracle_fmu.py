@@ -70,6 +70,9 @@ def test_every_number_of_the_structs_has_a_description_and_its_unit() -> None:
     assert {unit for _, unit, _ in fields.values()} <= {"", *UNITS}
     assert fields["further_rate_radps[3,2]"] == ["d", "rad/s", "rate gyros beyond the first, mean over the sample"]
     assert fields["gimbal_rad[1]"][:2] == ["d", "rad"]
+    assert fields["magnetic_B_T[2]"][:2] == ["d", "T"]
+    assert "attitude commanded by this code" in fields["out_commanded_q_BR[3]"][2]
+    assert fields["commanded_q_BR[3]"][2] == "of the guidance"
     assert fields["tick"][:2] == ["q", ""]
     assert fields["dynamic_pressure_Pa"][:2] == ["d", "Pa"]
     assert fields["delta_velocity_mps[0]"][:2] == ["d", "m/s"]

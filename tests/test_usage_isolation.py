@@ -125,7 +125,13 @@ def run(*computer: str) -> int:
         {"INIT": "memset((char *)setup + setup->bytes, 1, 1)"},
     ],
 )
-def test_writing_beyond_the_own_structs_is_a_crash_of_the_code(attack: dict[str, str], capsys: Printed) -> None:
+@pytest.mark.parametrize("version", [1, 2])
+def test_writing_beyond_the_own_structs_is_a_crash_of_the_code(
+    attack: dict[str, str], version: int, capsys: Printed
+) -> None:
+    """Also of version 1, whose structs are shorter."""
+    if version == 1:
+        Path("maxq_fsw.h").write_text((Path(__file__).parent / "data" / "maxq_fsw_version_1.h").read_text())
     starting = "INIT" in attack
     assert run(*attacking(**attack)) == (2 if starting else 1)
     printed = capsys.readouterr()

@@ -130,18 +130,21 @@ def _builder(fmi: Version) -> ModuleType:
 def described_fields(schema: type) -> Iterator[tuple[str, str, str, str]]:
     """Yield name, kind (d or q, as in the module struct), unit and description of each number of a struct.
 
-    Elements of arrays are separate numbers. The size of the struct is omitted. `schema` is FswInputs or FswOutputs.
+    Elements of arrays are separate numbers. The size of the struct is omitted. `schema` is FswInputs or FswOutputs; a
+    command with the name of an input has the prefix `out_`.
     """
+    taken = set(dtype_of(FswInputs).names or ()) if schema is FswOutputs else set()
     struct = {FswInputs: "inputs", FswOutputs: "outputs"}[schema]
-    text = HEADER.read_text(encoding="utf-8").partition(f"typedef struct maxq_fsw_{struct} ")[2]
+    text = HEADER.read_text(encoding="utf-8").partition(f"typedef struct maxq_fsw_{struct} ")[2].partition("}")[0]
     comments = dict(re.findall(r"(\w+)(?:\[\d+\])*;\s*/\*\s*(.*?)\s*\*/", text, re.DOTALL))
     for name, (kind, *_) in (dtype_of(schema).fields or {}).items():
         if name == "bytes":
             continue
         unit = _SUFFIXES.get(name.rpartition("_")[2], "") if "_" in name else ""
         said = " ".join(comments.get(name, "").split())
+        unique = f"out_{name}" if name in taken else name
         for index in _indices(kind.shape):
-            yield name + index, "d" if kind.base.kind == "f" else "q", unit, said
+            yield unique + index, "d" if kind.base.kind == "f" else "q", unit, said
 
 
 def _indices(shape: tuple[int, ...]) -> list[str]:
