@@ -95,12 +95,16 @@ def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def attacking(**macros: str) -> list[str]:
-    """Return the overrides that fly the C code with these statements in its functions."""
+    """Return the overrides that fly the C code with these statements in its functions.
+
+    Only code that does not return has a short time limit, because every other step may wait on a loaded machine.
+    """
     Path("attack.c").write_text(CODE)
     name = f"attack{zlib.crc32(repr(macros).encode())}"  # warnings are shown once for each name
     flags = [f"-D{place}={macros.get(place, '(void)0')}" for place in ("INIT", "STEP", "CLOSE")]
     library = compiled(Path(), Path("attack.c"), name, *flags, "-Wno-array-bounds", "-Wno-stringop-overflow")
-    return flies(library=library.resolve(), timeout_s=1.0)
+    waits = any("for (;;)" in code or "SIGSTOP" in code for code in macros.values())
+    return flies(library=library.resolve(), timeout_s=1.0 if waits else 60.0)
 
 
 def flown(*computer: str) -> Flight:
