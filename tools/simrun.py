@@ -10,6 +10,7 @@ import os
 import shlex
 import sys
 import time
+from datetime import UTC, datetime
 from types import ModuleType
 from typing import Any
 
@@ -60,6 +61,7 @@ def _parser() -> Parser:
     _add_campaigns(parser)
     _add_files(parser)
     _add_export(parser)
+    _add_winds(parser)
     parser.about_itself({"scenario": "scenarios (simrun SCENARIO)", "campaign": "campaigns (simrun CAMPAIGN)"})
     return parser
 
@@ -230,6 +232,42 @@ def _add_export(parser: Parser) -> None:
     export.overrides("the scenario")
 
 
+def _add_winds(parser: Parser) -> None:
+    examples = """\
+  simrun winds era5.nc --site nominal      needs the extra maxq[winds]
+  simrun winds gfs.grib2 --at 28.5,-80.6 --time 2026-06-01T14:30
+"""
+    about = "Write wind profiles at a place from gridded data (NetCDF or GRIB)"
+    winds = parser.command("winds", about, examples, _winds)
+    winds.option("FILE...", "files with winds on pressure levels (ERA5, GFS, MERRA-2 or similar)", dest="files")
+    winds.option(
+        "--at LAT,LON",
+        "geodetic latitude and longitude, deg, north and east positive",
+        dest="place",
+        type=_place,
+        without=["--site"],
+    )
+    winds.option("--site SCENARIO", "the launch site of this scenario instead")
+    winds.option("--time T", "UTC, such as 2026-06-01T14:30 (default: each time in the files)", type=_utc)
+    winds.option("--out DIR", "where to write (default: winds)")
+
+
+def _place(text: str) -> tuple[float, float]:
+    latitude, _, longitude = text.partition(",")
+    place = number(latitude, "a latitude, deg"), number(longitude, "a longitude, deg")
+    if not (abs(place[0]) <= 90.0 and abs(place[1]) <= 360.0):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a latitude within 90 deg and a longitude within 360 deg")
+    return place
+
+
+def _utc(text: str) -> datetime:
+    try:
+        time_ = datetime.fromisoformat(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a time such as 2026-06-01T14:30") from None
+    return time_ if time_.tzinfo else time_.replace(tzinfo=UTC)
+
+
 def _run(arguments: list[str]) -> int:
     return _parser().run(_in_present_form(arguments))
 
@@ -296,6 +334,12 @@ def _export(**given: Any) -> int:
     from maxq.tools.fmu import export  # noqa: PLC0415  # lazy
 
     return export.execute(**given)
+
+
+def _winds(**given: Any) -> int:
+    from maxq.tools import simrun_winds  # noqa: PLC0415  # lazy
+
+    return simrun_winds.execute(**given)
 
 
 def _limit(**given: Any) -> int:
