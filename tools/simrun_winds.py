@@ -126,12 +126,16 @@ def _opened(files: Sequence[str]) -> Any:
 
 
 def _of_valid_time(data: Any, file: str) -> Any:
-    """Return a forecast with its steps replaced by the times for which they are valid."""
-    if "step" not in data.dims:
-        return data
-    if "time" in data.dims:
+    """Return the data over the times for which they are valid, also for one time or the steps of a forecast."""
+    if "valid_time" not in data.coords:
+        return data.expand_dims("time") if "time" in data.coords and "time" not in data.dims else data
+    dims = data["valid_time"].dims
+    if len(dims) > 1:
         raise ScenarioError(file, "contains several forecasts with several steps each", allowed="one base time")
-    return data.swap_dims(step="valid_time").drop_vars(["time", "step"], errors="ignore")
+    data = data.drop_vars(["time", "step"], errors="ignore")
+    if not dims:
+        return data.expand_dims("valid_time")
+    return data if dims == ("valid_time",) else data.swap_dims({dims[0]: "valid_time"})
 
 
 def _profiles(
