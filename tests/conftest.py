@@ -8,17 +8,21 @@ saves are checked.
 from __future__ import annotations
 
 import atexit
+import gc
 import os
 import shutil
 import signal
+import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from pathlib import Path
 
 # Before NumPy is loaded, as the commands do: threads of its library, two for each worker, mostly wait for each other.
 # Measured on two busy cores, the modes of a beam take 0.005 s of processor time instead of 0.24 s.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
+from filelock import FileLock
 from hypothesis import settings
 from matplotlib.figure import Figure
 from picture_check import settled_faults
@@ -41,6 +45,24 @@ os.environ.pop("COLUMNS", None)  # pytest-xdist sets 80 for its workers, as if t
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Import the tests once before other workers do so, and exempt imported objects from garbage collection.
+
+    On a new checkout, Python compiles all modules that it imports, which takes more time than importing them, and
+    workers that begin together would each compile all of them.
+    """
+    compiled = Path(__file__).parent / "__pycache__"
+    gc.disable()
+    with FileLock(Path(os.environ["MAXQ_TEST_FILES"], "collection.lock")) as lock:
+        if sys.dont_write_bytecode or any(compiled.glob("test_*.pyc")):
+            lock.release()
+        collected = yield
+    gc.freeze()
+    gc.enable()
+    return collected
 
 
 @pytest.hookimpl(tryfirst=True)
