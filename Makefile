@@ -8,14 +8,18 @@ ARGS ?=
 unexport PYTHONDONTWRITEBYTECODE
 
 VENV := .venv
-PY := $(VENV)/bin/python
+# The folder of programs in a virtual environment, and the versions with which one is set up (CONSTRAINTS=/dev/null: the
+# highest that pyproject.toml allows)
+BIN := $(if $(filter Windows_NT,$(OS)),Scripts,bin)
+CONSTRAINTS ?= constraints.txt
+PY := $(VENV)/$(BIN)/python
 PIP := $(PY) -m pip --disable-pip-version-check
 # A venv holds absolute paths: one that was copied or moved along with its folder is set up again.
 PLACE := $(VENV)/set-up-in
 TO_FLY := $(VENV)/ready-to-fly
 TO_TEST := $(VENV)/ready-to-test
 
-.PHONY: help fly test test-long test-lowest test-slim test-browser docs coverage lint format FORCE
+.PHONY: help fly test test-long test-lowest test-slim test-browser docs coverage lint format dist FORCE
 .DELETE_ON_ERROR:
 
 help:  ## say what there is to make
@@ -24,7 +28,7 @@ help:  ## say what there is to make
 
 fly: $(TO_FLY)  ## fly scenarios/nominal.toml; ARGS go to simrun
 	@echo "Flying scenarios/nominal.toml with simrun."
-	@$(PY) $(VENV)/bin/simrun scenarios/nominal.toml $(ARGS)
+	@$(PY) -m maxq.tools.simrun scenarios/nominal.toml $(ARGS)
 
 test: $(TO_TEST)  ## run the tests; ARGS go to pytest (ARGS="-m 'not slow'" leaves out the slow ones)
 	@echo "Running the tests with pytest."
@@ -48,20 +52,20 @@ test-lowest: $(TO_TEST)  ## install the lowest version of each requirement into 
 	@echo "Testing with the lowest versions that pyproject.toml allows (about ten minutes)."
 	@$(PYTHON) -m venv --clear $(LOWEST)
 	@$(PY) -m maxq.tools.dev.lowest > $(LOWEST)/constraints.txt
-	@$(LOWEST)/bin/python -m pip --disable-pip-version-check install --quiet -c $(LOWEST)/constraints.txt setuptools
-	@$(LOWEST)/bin/python -m pip --disable-pip-version-check install --quiet -c $(LOWEST)/constraints.txt \
+	@$(LOWEST)/$(BIN)/python -m pip --disable-pip-version-check install --quiet -c $(LOWEST)/constraints.txt setuptools
+	@$(LOWEST)/$(BIN)/python -m pip --disable-pip-version-check install --quiet -c $(LOWEST)/constraints.txt \
 		--no-build-isolation --editable '.[dask]' $(TEST_TOOLS) pandas polars sympy xarray
-	@MPLBACKEND=Agg MAXQ_CACHE=$(CURDIR)/$(LOWEST)/cache $(LOWEST)/bin/python -m pytest -q -p no:cacheprovider \
+	@MPLBACKEND=Agg MAXQ_CACHE=$(CURDIR)/$(LOWEST)/cache $(LOWEST)/$(BIN)/python -m pytest -q -p no:cacheprovider \
 		$(ARGS) $(OF_BOUNDS)
 
 test-slim: $(PLACE)  ## install maxq without the viewer into .venv-slim (requirements-slim.txt), and test that all else works
 	@echo "Testing maxq as a worker of a cluster has it, without the viewer (about three minutes)."
 	@$(PYTHON) -m venv --clear $(SLIM)
-	@$(SLIM)/bin/python -m pip --disable-pip-version-check install --quiet -r requirements-slim.txt
-	@$(SLIM)/bin/python -m pip --disable-pip-version-check install --quiet --no-deps .
+	@$(SLIM)/$(BIN)/python -m pip --disable-pip-version-check install --quiet -r requirements-slim.txt
+	@$(SLIM)/$(BIN)/python -m pip --disable-pip-version-check install --quiet --no-deps .
 	@du -sh $(SLIM)
-	@$(SLIM)/bin/python -m pip --disable-pip-version-check install --quiet $(TEST_TOOLS)
-	@MPLBACKEND=Agg MAXQ_CACHE=$(CURDIR)/$(SLIM)/cache $(SLIM)/bin/python -m pytest -q -p no:cacheprovider \
+	@$(SLIM)/$(BIN)/python -m pip --disable-pip-version-check install --quiet $(TEST_TOOLS)
+	@MPLBACKEND=Agg MAXQ_CACHE=$(CURDIR)/$(SLIM)/cache $(SLIM)/$(BIN)/python -m pytest -q -p no:cacheprovider \
 		$(ARGS) tests/test_usage_without_viewer.py
 
 test-browser: $(TO_TEST)  ## open `simreplay --web` and report pages in headless Chromium, and look at them
@@ -95,17 +99,24 @@ coverage: $(TO_TEST)  ## say which lines of control/ and sim/ the tests run; ker
 
 lint: $(TO_TEST)  ## check style, format, types, the direction of imports and the English
 	@echo "Checking style and format (ruff), types (mypy), imports (import-linter) and English (tools/dev/prose.py)."
+	@$(PY) -m maxq.tools.dev.links
 	@failed=; \
 	$(PY) -m ruff check . || failed="$$failed style"; \
 	$(PY) -m ruff format --check --quiet . || failed="$$failed format(make-format-repairs-it)"; \
 	$(PY) -m mypy || failed="$$failed types"; \
-	PYTHONPATH=tools/.ns $(PY) $(VENV)/bin/lint-imports --no-logo || failed="$$failed imports"; \
+	PYTHONPATH=tools/.ns $(PY) $(VENV)/$(BIN)/lint-imports --no-logo || failed="$$failed imports"; \
 	$(PY) -m maxq.tools.dev.prose || failed="$$failed English"; \
 	if [ -n "$$failed" ]; then echo "lint: wrong:$$failed" >&2; exit 1; fi
 
 format: $(TO_TEST)  ## put the sources into ruff's format
 	@echo "Formatting the sources (ruff)."
 	@$(PY) -m ruff format .
+
+dist: $(TO_FLY)  ## build the wheel and the source distribution into dist/
+	@rm -rf dist build
+	@$(PIP) wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
+	@$(PY) -c "import setuptools.build_meta as backend; backend.build_sdist('dist')" >/dev/null
+	@ls -l dist
 
 ifneq ($(shell cat $(PLACE) 2>/dev/null),$(CURDIR))
 $(PLACE): FORCE
@@ -121,27 +132,27 @@ $(PLACE):
 	@echo "$(CURDIR)" > $@
 
 # setuptools first, in the version of constraints.txt: a build in isolation would take whichever is newest
-$(TO_FLY): $(PLACE) pyproject.toml constraints.txt
+$(TO_FLY): $(PLACE) pyproject.toml $(CONSTRAINTS)
 	@echo "Installing maxq and what it needs into $(VENV) (about a minute the first time)."
-	@$(PIP) install --quiet --constraint constraints.txt setuptools
-	@$(PIP) install --quiet --constraint constraints.txt --no-build-isolation --editable .
+	@$(PIP) install --quiet --constraint $(CONSTRAINTS) setuptools
+	@$(PIP) install --quiet --constraint $(CONSTRAINTS) --no-build-isolation --editable .
 	@touch $@
 
 # All at once: after an installation to fly, pip would resolve and build a second time.
-$(TO_TEST): $(PLACE) pyproject.toml constraints.txt
+$(TO_TEST): $(PLACE) pyproject.toml $(CONSTRAINTS)
 	@echo "Installing maxq and what its tests and linters need into $(VENV)."
-	@$(PIP) install --quiet --constraint constraints.txt setuptools
-	@$(PIP) install --quiet --constraint constraints.txt --no-build-isolation --editable '.[test,lint,docs]'
+	@$(PIP) install --quiet --constraint $(CONSTRAINTS) setuptools
+	@$(PIP) install --quiet --constraint $(CONSTRAINTS) --no-build-isolation --editable '.[test,lint,docs]'
 	@touch $(TO_FLY) $@
 
 # --- benchmarks: the programs compared with live in an environment of their own, since some pin what maxq needs newer
 BENCH := .venv-bench
-BENCH_PY := $(BENCH)/bin/python
+BENCH_PY := $(BENCH)/$(BIN)/python
 PEERS := jsbsim==1.3.3 bsk==2.12.1 'rocketpy==1.13.*'
 
 .PHONY: bench
 
-bench: $(TO_FLY) $(BENCH)/ready  ## measure speed, precision and memory beside other programs; ARGS go to tools/dev/bench/run.py
+bench: $(TO_TEST) $(BENCH)/ready  ## measure speed, precision and memory beside other programs; ARGS go to tools/dev/bench/run.py
 	@echo "Measuring (about five minutes; the machine should have nothing else to do)."
 	@$(PY) -m maxq.tools.dev.bench.run $(ARGS)
 
@@ -151,6 +162,6 @@ $(BENCH)/ready: $(PLACE) Makefile
 	@$(PYTHON) -m venv --clear $(BENCH)
 	@echo '*' > $(BENCH)/.gitignore
 	@$(BENCH_PY) -m pip --disable-pip-version-check install --quiet $(PEERS)
-	@$(BENCH_PY) -m pip --disable-pip-version-check install --quiet --constraint constraints.txt setuptools
+	@$(BENCH_PY) -m pip --disable-pip-version-check install --quiet --constraint $(CONSTRAINTS) setuptools
 	@$(BENCH_PY) -m pip --disable-pip-version-check install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@

@@ -43,11 +43,11 @@ def whole_file(path: Path, raises: Raises = FileError, *, durable: bool = False)
         path.parent.mkdir(parents=True, exist_ok=True)
         yield part
         if durable:
-            _sync(part)
+            _sync(part, os.O_RDWR)  # Windows flushes only what may be written
         os.replace(part, path)
         if durable:
             with contextlib.suppress(OSError):  # some systems cannot flush a folder
-                _sync(path.parent)
+                _sync(path.parent, os.O_RDONLY)
     except OSError as error:
         raise raises(cannot_write(path, error)) from error
     finally:
@@ -91,8 +91,8 @@ def cannot_write(path: Path, error: OSError) -> str:
     return f"{path}: cannot be written: {reason(error)}{advice}"
 
 
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
+def _sync(path: Path, how: int) -> None:
+    handle = os.open(path, how)
     try:
         os.fsync(handle)
     finally:

@@ -437,5 +437,6 @@ def test_missing_runs_are_cut_at_batches(campaign: LoadedCampaign, tmp_path: Pat
     (tmp_path / "runs").mkdir()
     (tmp_path / "runs" / "runs-0000000003-0000000004.parquet").touch()
     (tmp_path / "runs" / "runs-0000000016-0000000029.parquet").touch()
-    assert list(store.missing(20, 8)) == [(0, 3), (5, 3), (8, 8)]
-    assert list(store.missing(0, 8)) == []
+    assert list(store.missing(range(20), 8)) == [(0, 3), (5, 3), (8, 8)]
+    assert list(store.missing(range(7, 14), 8)) == [(7, 1), (8, 6)]
+    assert list(store.missing(range(0), 8)) == []

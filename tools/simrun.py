@@ -123,6 +123,7 @@ def _add_campaigns(parser: Parser) -> None:
     examples = """\
   simrun campaign campaigns/first          repeat the command to resume it
   simrun campaign campaigns/first --runs 2000   make it larger
+  simrun campaign campaigns/first --shard 1/8 --out part-1   an eighth of it
 """
     about = "Fly, resume or enlarge a campaign of dispersed flights"
     campaign = parser.command(
@@ -135,8 +136,21 @@ def _add_campaigns(parser: Parser) -> None:
     campaign.option("--out DIR", "where to write (default: runs/<name of the campaign>)")
     _add_workers(campaign)
     campaign.option("--dask ADDRESS", "fly on the workers of a dask.distributed scheduler")
+    about = "keep a copy of the folder in object storage, such as s3://bucket/first, and resume from it"
+    campaign.option("--sync ADDRESS", about)
     campaign.option("--until-settled", "stop when every requirement is met or missed")
+    about = "fly only part K of N of the runs, into a folder of its own; simrun merge makes the report"
+    campaign.option("--shard K/N", about, without=["--until-settled", "--keep", "--no-report"], type=_shard)
     _add_report(campaign)
+
+    examples = """\
+  simrun merge part-1 part-2 --out runs/first   from campaign --shard 1/2 and 2/2
+"""
+    about = "Merge the shards of a campaign, and write its report"
+    merge = parser.command("merge", about, examples, lambda **given: _campaigns().merge_shards(**given), _CAMPAIGN)
+    merge.option("DIR...", "folders of all shards, or an address such as 's3://bucket/part-*'", dest="folders")
+    merge.option("--out DIR", "where to write (default: runs/<name of the campaign>)")
+    _add_report(merge)
 
     examples = """\
   simrun report runs/first                 write verdicts and pictures again
@@ -377,6 +391,16 @@ def _upgrade(file: str) -> int:
     from maxq.tools import simrun_upgrade  # noqa: PLC0415  # lazy
 
     return simrun_upgrade.execute(file)
+
+
+def _shard(text: str) -> str:
+    """Check and return the number of a shard, as in 3/8. Raises argparse.ArgumentTypeError."""
+    from maxq.sim.campaign.shards import shard_from  # noqa: PLC0415  # lazy
+
+    try:
+        return str(shard_from(text))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _kept(text: str) -> str:

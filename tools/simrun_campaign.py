@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -16,9 +18,11 @@ from maxq.control.kernel.machine import cores
 from maxq.sim.campaign.analysis import DataSet, judged, lost, selected
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.investigation import flight_folder, refly, search_worst, shrink_run
+from maxq.sim.campaign.objects import ObjectFolder, folders_at, is_address
 from maxq.sim.campaign.rare import rare_failure
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
-from maxq.sim.campaign.runner import run_campaign
+from maxq.sim.campaign.runner import Outcome, run_campaign
+from maxq.sim.campaign.shards import Shard, checked_shards, merge, shard_from, shard_in
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.campaign.store import RUNS, campaign_in
 from maxq.sim.campaign.targets import Refused
@@ -50,11 +54,13 @@ def fly_campaign(
     out: str | None = None,
     workers: int | None = None,
     dask: str | None = None,
+    sync: str | None = None,
     until_settled: bool = False,
+    shard: str | None = None,
     keep: tuple[str, ...] = (),
     no_report: bool = False,
 ) -> int:
-    """Fly, resume or enlarge a campaign, and return the exit code.
+    """Fly, resume or enlarge a campaign or a shard of it, and return the exit code.
 
     All functions for a subcommand return the exit code, and raise the errors that `cli.frame.run` reports on one line.
     The arguments are the options of the subcommand.
@@ -63,7 +69,9 @@ def fly_campaign(
     changes = {name: value for name, value in (("runs", runs), ("seed", seed)) if value is not None}
     announce(f"reading {campaign}")
     loaded = load_campaign(campaign, overrides).with_campaign(**changes)
-    folder = Path(out) if out else Path("runs") / plain_name(loaded.name, "campaign")
+    part = None if shard is None else shard_from(shard)
+    name = plain_name(loaded.name, "campaign") + ("" if part is None else f"-{part.number}-of-{part.of}")
+    folder = Path(out) if out else Path("runs") / name
     with Interruption() as stop:
         try:
             with Progress(_LINE_S) as progress:
@@ -75,12 +83,16 @@ def fly_campaign(
                     watch=text.watcher(progress),
                     stop=stop,
                     until_settled=until_settled,
+                    shard=part,
+                    sync=sync,
                 )
         except KeyboardInterrupt:
             say("simrun", "interrupted twice; whole batches are safe, the same command resumes the campaign")
             return Exit.INTERRUPTED
         for note in outcome.notes:
             say("simrun", note)
+        if part is not None:
+            return _tell_shard(part, folder, outcome)
         if not outcome.stopped:
             _keep(loaded, folder, (*loaded.campaign.keep, *keep), stop)
         rate = f"{outcome.flown / outcome.wall_s:.1f} flights/s" if outcome.wall_s > 0.0 else "at once"
@@ -89,10 +101,53 @@ def fly_campaign(
             flown = f"all {outcome.total} runs were flown before; --runs N with a larger number flies more"
         data = DataSet(folder, loaded)
         code = _tell(data, outcome.total, flown, not no_report, start_s, outcome.settled, not outcome.stopped)
+        if sync is not None:
+            ObjectFolder(sync).push(folder)  # also the report
         if outcome.stopped:
             tell(f"INTERRUPTED: the data set in {folder / RUNS} is whole; the same command resumes the campaign")
             return Exit.INTERRUPTED
         return code
+
+
+def _tell_shard(shard: Shard, folder: Path, outcome: Outcome) -> int:
+    """Print the state of a shard, which has no verdict, and return the exit code."""
+    flown = f"{outcome.flown} runs flown in {text.duration(outcome.wall_s)}"
+    if outcome.stopped:
+        tell(f"INTERRUPTED: shard {shard}: {flown}; the same command resumes it")
+        return Exit.INTERRUPTED
+    tell(f"shard {shard}: all {outcome.total} runs are in {folder / RUNS}; {flown}")
+    tell("next, with the folders of all shards: simrun merge DIR...")
+    return Exit.OK
+
+
+def _shard_folders(given: str, stack: ExitStack) -> list[Path]:
+    """Return a folder, or temporary copies of the folders at an address, which `stack` removes."""
+    if not is_address(given):
+        return [Path(given)]
+    scratch, found = Path(stack.enter_context(TemporaryDirectory(prefix="maxq-"))), []
+    for folder in folders_at(given):
+        found.append(scratch / PurePosixPath(folder.address).name)
+        folder.pull(found[-1])
+    return found
+
+
+def merge_shards(
+    folders: tuple[str, ...], *, out: str | None = None, keep: tuple[str, ...] = (), no_report: bool = False
+) -> int:
+    """Merge the shards of a campaign, judge it, write its report, and return the exit code."""
+    start_s = time.perf_counter()
+    announce("merging")
+    with ExitStack() as stack:
+        there = [folder for given in folders for folder in _shard_folders(given, stack)]
+        campaign, parts = checked_shards(there)
+        place = Path(out) if out else Path("runs") / plain_name(campaign.name, "campaign")
+        merge(campaign, parts, place)
+    with Interruption() as stop:
+        _keep(campaign, place, (*campaign.campaign.keep, *keep), stop)
+        data = DataSet(place, campaign)
+        total = len(data.runs)
+        flown = f"{total} runs of {len(there)} shards merged in {place}"
+        return _tell(data, total, flown, not no_report, start_s, False, True)
 
 
 def _tell(data: DataSet, total: int, flown: str, pictures: bool, start_s: float, settled: bool, complete: bool) -> int:
@@ -124,6 +179,8 @@ def report_again(folder: str, *, keep: tuple[str, ...] = (), no_report: bool = F
     """
     start_s = time.perf_counter()
     place = Path(folder)
+    if (shard := shard_in(place)) is not None:
+        raise CampaignError(f"{place}: holds shard {shard} of a campaign; simrun merge makes the report of all shards")
     data = DataSet(place, campaign_in(place))
     total = len(data.runs)
     with Interruption() as stop:

@@ -27,7 +27,7 @@ from maxq.control.kernel.machine import own_cache
 if sys.platform != "win32":
     import fcntl
 
-_KERNEL_FREE = {"input", "scenario", "log", "packing", "run", "campaign", "section.py", "packing.py"}
+_KERNEL_FREE = {"input", "scenario", "log", "packing", "run", "campaign", "section.py", "packing.py", "files.py"}
 """The folders and files of sim/ whose constants no kernel uses."""
 _COMPILED = re.compile(rb"^@(?:kernel|formula|\w*routine\w*|entry|from_python)\b", re.MULTILINE)
 

@@ -7,6 +7,7 @@ Threads run in parallel, because the compiled kernel releases the interpreter's 
 
 Runs are submitted in order, over several batches. This process writes a batch as soon as its last run is complete.
 Memory therefore contains only the batches in progress for any number of runs, and workers are not idle between batches.
+With `shard`, only a part of the runs is flown (shards.py).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import threading
 import time
 import zlib
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -30,10 +31,12 @@ from typing import Any
 from maxq.control.kernel.machine import cores
 from maxq.sim.campaign.analysis import requirements_of
 from maxq.sim.campaign.error import CampaignError
+from maxq.sim.campaign.objects import ObjectFolder
 from maxq.sim.campaign.read import LoadedCampaign, campaign_from, description_of
-from maxq.sim.campaign.runs import VOID, Row, fly_rows, packer
+from maxq.sim.campaign.runs import VOID, Row, fly_rows, packer, schema_of
+from maxq.sim.campaign.shards import Shard
 from maxq.sim.campaign.statistics import OPEN, judge_failures
-from maxq.sim.campaign.store import Store, Wait, open_store, parts_in, read_part, simulator
+from maxq.sim.campaign.store import PartFiles, Store, Wait, files_of, open_store, parts_in, read_part, simulator
 from maxq.sim.run.fly import FlightRun, refuse_unstable_steps
 from maxq.sim.run.metrics import judge
 from maxq.sim.scenario.schema_scenario import RequirementSection
@@ -48,6 +51,10 @@ Gap = tuple[int, int]
 """Missing runs that are flown and written together: the first run, and their number."""
 
 
+Count = tuple[int, float]
+"""Of some runs and a requirement: the number that misses it, and the worst value of its metric (nan: none)."""
+
+
 @dataclass
 class Tally:
     """The tally of a requirement (None for CONTROL_KEPT). `worst` is nan until a run has a value."""
@@ -58,18 +65,20 @@ class Tally:
     failures_in_order: int = 0  # failures in the runs before the first gap
     worst: float = math.nan
 
-    def add(self, outcome: str, cause: str, metrics: Mapping[str, Any]) -> bool:
-        """Count a run, and return True if it misses the requirement. A run without usable metrics misses it."""
+    def judge(self, outcome: str, cause: str, metrics: Mapping[str, Any]) -> Count:
+        """Return the result of a single run, which misses the requirement if it has no usable metrics."""
         void = outcome in VOID
         if self.requirement is None:
-            missed = void or bool(cause)
-        else:
-            missed = void or not judge(self.requirement, metrics, metrics).met
-            value = math.nan if void else metrics[self.requirement.metric]
+            return int(void or bool(cause)), math.nan
+        missed = void or not judge(self.requirement, metrics, metrics).met
+        return int(missed), math.nan if void else metrics[self.requirement.metric]
+
+    def add(self, counted: Count) -> None:
+        missed, value = counted
+        self.failures += missed
+        if self.requirement is not None:
             worse = max if self.requirement.bound[0] == "limit" else min
             self.worst = value if math.isnan(self.worst) else worse(self.worst, value)
-        self.failures += missed
-        return missed
 
 
 class Interim:
@@ -79,12 +88,13 @@ class Interim:
     would therefore be biased.
     """
 
-    def __init__(self, campaign: LoadedCampaign) -> None:
+    def __init__(self, campaign: LoadedCampaign, first: int = 0) -> None:
         self.tallies = [Tally(name, requirement) for name, requirement in requirements_of(campaign)]
         self.failed = 0
         self._level = campaign.campaign.success, campaign.campaign.confidence
-        self._in_order = self._failed_in_order = 0
-        self._ahead: dict[int, tuple[bool, list[bool]]] = {}
+        self._first = self._in_order = first
+        self._failed_in_order = 0
+        self._ahead: dict[int, tuple[int, int, list[int]]] = {}  # by first run: runs, failed, misses of each
 
     def read(self, folder: Path, runs: int) -> None:
         """Count the runs below `runs` in a campaign's folder."""
@@ -97,21 +107,27 @@ class Interim:
                     self.add(row["run"], row["outcome"], row["passed"], row["cause"], row)
 
     def add(self, run: int, outcome: str, passed: bool, cause: str, metrics: Mapping[str, Any]) -> None:
-        self.failed += not passed
-        self._ahead[run] = not passed, [tally.add(outcome, cause, metrics) for tally in self.tallies]
+        self.enter(run, 1, int(not passed), [tally.judge(outcome, cause, metrics) for tally in self.tallies])
+
+    def enter(self, first: int, size: int, failed: int, counts: Sequence[Count]) -> None:
+        """Count `size` runs from `first` on, `failed` of which failed, with the counts of each requirement."""
+        self.failed += failed
+        for tally, counted in zip(self.tallies, counts, strict=True):
+            tally.add(counted)
+        self._ahead[first] = size, failed, [missed for missed, _ in counts]
         while self._in_order in self._ahead:
-            failed, each = self._ahead.pop(self._in_order)
+            size, failed, each = self._ahead.pop(self._in_order)
             for tally, missed in zip(self.tallies, each, strict=True):
                 tally.failures_in_order += missed
             self._failed_in_order += failed
-            self._in_order += 1
+            self._in_order += size
 
     def settled(self) -> bool:
         """Return True if the verdicts on each requirement and on all requirements together are settled.
 
         The verdicts are those of the any-time test, which is valid under any stopping rule.
         """
-        n, counts = self._in_order, [*(t.failures_in_order for t in self.tallies), self._failed_in_order]
+        n, counts = self._in_order - self._first, [*(t.failures_in_order for t in self.tallies), self._failed_in_order]
         return n > 0 and all(judge_failures(count, n, *self._level).judgement != OPEN for count in counts)
 
 
@@ -174,6 +190,8 @@ def run_campaign(
     until_settled: bool = False,
     elsewhere: str = "give another --out",
     wait: Wait | None = None,
+    shard: Shard | None = None,
+    sync: str | None = None,
 ) -> Outcome:
     """Fly the missing runs of a campaign on `workers` threads (default: one for each core), and write them to `folder`.
 
@@ -184,11 +202,16 @@ def run_campaign(
     - `elsewhere`: advice in the message for a folder that is in use or contains other data.
     - `wait`: called with the name of another process that uses the folder, until the folder is free. The runs of that
       process are not flown again.
+    - `shard`: fly the runs of this shard only, into a folder of its own, for `merge` (shards.py).
+    - `sync`: address of a copy of the folder in object storage, from which the campaign also continues (objects.py).
 
     Raises CampaignError.
     """
     if until_settled and campaign.campaign.test == "fixed":
         raise CampaignError(f"{campaign.name}: --until-settled looks at any time; campaign.test = 'fixed' does not")
+    runs = range(campaign.campaign.runs) if shard is None else shard.runs(campaign.campaign.runs)
+    if shard is not None and until_settled:
+        raise CampaignError(f"{campaign.name}: verdicts are settled by all runs, not by shard {shard}")
     refuse_unstable_steps(campaign.base)
     with ExitStack() as stack:
         flyers: Threads | DaskCluster
@@ -197,10 +220,12 @@ def run_campaign(
         else:
             client = stack.enter_context(_connected(cluster)) if isinstance(cluster, str) else cluster
             flyers = DaskCluster(campaign, client)
-        store, usual = open_store(folder, campaign, elsewhere, wait)
+        copy = None if sync is None else ObjectFolder(sync)
+        part = None if shard is None else str(shard)
+        store, usual = open_store(folder, campaign, elsewhere, wait, part, copy)
         stack.callback(store.unlock)
         try:
-            return _flown(campaign, flyers, store, usual, watch, stop, until_settled)
+            return _flown(campaign, runs, flyers, store, usual, watch, stop, until_settled)
         except Exception:  # such as draws that all lie outside their bounds
             store.discard()
             raise
@@ -208,6 +233,7 @@ def run_campaign(
 
 def _flown(
     campaign: LoadedCampaign,
+    runs: range,
     flyers: Threads | DaskCluster,
     store: Store,
     usual: int,
@@ -215,18 +241,17 @@ def _flown(
     stop: Callable[[], bool],
     until_settled: bool,
 ) -> Outcome:
-    """Fly the missing runs of a campaign into its store, whose usual size of batches is `usual`."""
-    runs = campaign.campaign.runs
-    gaps = list(store.missing(runs, flyers.batch(usual, runs)))
+    """Fly those of `runs` that are missing in the store of a campaign, whose usual size of batches is `usual`."""
+    gaps = list(store.missing(runs, flyers.batch(usual, len(runs))))
     tasks = flyers.begin(gaps)
-    interim = Interim(campaign)
-    interim.read(store.folder, runs)
-    progress = CampaignProgress(runs, runs - sum(size for _, size in gaps), interim)
+    interim = Interim(campaign, runs.start)
+    interim.read(store.folder, runs.stop)
+    progress = CampaignProgress(len(runs), len(runs) - sum(size for _, size in gaps), interim)
     batches = _Batches(store, gaps, progress)
     stopped, settled = _fly(flyers, tasks, batches, progress, watch, stop, until_settled)
     batches.write_begun()
     watch(progress)
-    return Outcome(progress.flown, runs, stopped, settled, progress.elapsed_s, tuple(store.notes), tuple(gaps))
+    return Outcome(progress.flown, len(runs), stopped, settled, progress.elapsed_s, tuple(store.notes), tuple(gaps))
 
 
 def _fly(
@@ -273,7 +298,8 @@ def _fly(
     for task in flying:
         if task.done() and not task.cancelled() and task.exception() is None:
             got = workers.collect(task)
-            batches.enter(() if isinstance(got, Future) else got)
+            if not isinstance(got, Future):
+                batches.enter(got)
     return stopped, settled
 
 
@@ -284,8 +310,15 @@ class _Batches:
         self._store, self._gaps, self._progress = store, gaps, progress
         self._rows: dict[int, dict[int, Row]] = {}  # by the batch's first run and by run
 
-    def enter(self, rows: Iterable[Row]) -> None:
-        for row in rows:
+    def enter(self, flown: Sequence[Row] | FlownBatch) -> None:
+        if isinstance(flown, FlownBatch):
+            part = flown.part
+            size = part.last - part.first + 1
+            self._progress.flown += size
+            self._progress.interim.enter(part.first, size, flown.failed, flown.counts)
+            self._store.write_files(part)
+            return
+        for row in flown:
             first, size = self._gaps[bisect_right(self._gaps, row.run, key=lambda gap: gap[0]) - 1]
             batch = self._rows.setdefault(first, {})
             batch[row.run] = row
@@ -358,13 +391,16 @@ def _connected(address: str) -> Any:
 class DaskCluster:
     """The workers of a campaign that belong to a Dask client.
 
-    A task receives the whole campaign and flies a batch. Any worker can repeat a task at any time, and workers may join
-    and leave. The rows are bit for bit those of threads on this machine.
+    A task receives the whole campaign, flies a batch, counts its failures, and returns the content of its files. The
+    client writes these as they are, which takes less than a hundredth of the time of handling each row. Any worker can
+    repeat a task at any time, and workers may join and leave. The rows are bit for bit those of threads on this
+    machine.
     """
 
     def __init__(self, campaign: LoadedCampaign, client: Any) -> None:
         self._given = campaign.campaign.batch is not None
         self._packed = zlib.compress(json.dumps(description_of(campaign)).encode())
+        self._simulator = simulator()
         self._client, self._executor = client, client.get_executor(pure=False, retries=2)
         self._out: dict[Future[Any], tuple[int, int, int]] = {}  # first run, size, tries
 
@@ -388,14 +424,14 @@ class DaskCluster:
         self._out[task] = first, size, tries
         return task
 
-    def collect(self, task: Future[Any]) -> list[Row] | Future[Any]:
-        """Return the rows of a completed task, or a new task if the task failed and was submitted again.
+    def collect(self, task: Future[Any]) -> FlownBatch | Future[Any]:
+        """Return the batch of a completed task, or a new task if the task failed and was submitted again.
 
         Raises CampaignError if the task failed _TRIES times, or if a worker has a different simulator.
         """
         first, size, tries = self._out.pop(task)
         try:
-            rows, theirs = task.result()
+            flown: FlownBatch = task.result()
         except CampaignError:
             raise
         except Exception as error:  # from Dask: workers died, or the task was lost
@@ -405,22 +441,42 @@ class DaskCluster:
                 f"runs {first} to {first + size - 1} failed {tries} times on the cluster ({error!r}); "
                 "whole batches are safe, the same command continues"
             ) from None
-        ours = simulator()
-        if theirs != ours:
-            others = {name: value for name, value in theirs.items() if ours.get(name) != value}
+        if flown.simulator != self._simulator:
+            others = {name: value for name, value in flown.simulator.items() if self._simulator.get(name) != value}
             raise CampaignError(f"a worker has another simulator ({others}): install the same maxq everywhere")
-        return list(rows)
+        return flown
 
     def end(self) -> None:
         self._executor.shutdown(wait=False)
 
 
-def fly_batch(packed: bytes, first: int, size: int) -> tuple[list[Row], dict[str, str]]:
-    """Fly the runs `first` to `first + size - 1`, and return their rows and the versions of the simulator."""
+@dataclass(frozen=True)
+class FlownBatch:
+    """A batch flown and evaluated by a worker of a cluster."""
+
+    part: PartFiles
+    failed: int  # number of runs that failed
+    counts: list[Count]  # of each requirement
+    simulator: dict[str, str]
+
+
+def fly_batch(packed: bytes, first: int, size: int) -> FlownBatch:
+    """Fly the runs `first` to `first + size - 1` on a worker of a cluster."""
     campaign = _unpacked(packed)
     drawn = campaign.plan.draw(first, size)
     orders = [(drawn, run) for run in range(first, first + size)]
-    return [row for k in range(0, size, CHUNK) for row in fly_rows(campaign, orders[k : k + CHUNK])], simulator()
+    return evaluated(
+        campaign, [row for k in range(0, size, CHUNK) for row in fly_rows(campaign, orders[k : k + CHUNK])]
+    )
+
+
+def evaluated(campaign: LoadedCampaign, rows: Sequence[Row]) -> FlownBatch:
+    """Return the files and the counts of consecutive runs."""
+    part = files_of(rows, schema_of(campaign), campaign.campaign.envelope.channels)
+    interim = Interim(campaign, part.first)
+    for row in rows:
+        interim.add(row.run, row.outcome, row.passed, row.cause, row.metrics)
+    return FlownBatch(part, interim.failed, [(t.failures, t.worst) for t in interim.tallies], simulator())
 
 
 @lru_cache(maxsize=2)

@@ -29,9 +29,10 @@ from pydantic_core import to_json
 
 from maxq.control.kernel.kept_code import source_hash
 from maxq.sim.campaign.error import CampaignError
+from maxq.sim.campaign.objects import ObjectFolder
 from maxq.sim.campaign.read import LoadedCampaign, campaign_from, description_of
 from maxq.sim.campaign.runs import Row, history_table, schema_of, table_of
-from maxq.sim.files import cannot_write, reason, whole_file, write_whole
+from maxq.sim.files import cannot_write, reason, write_whole
 from maxq.sim.input import toml_columns
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.record import versions
@@ -39,7 +40,9 @@ from maxq.sim.run.record import versions
 MOST_BYTES = 1 << 32
 """The largest size of a file of the data set in memory, bytes; a thousand runs take about a megabyte."""
 MANIFEST, RUNS, HISTORIES, LOCK = "campaign.json", "runs", "histories", "lock"
+SHARD = "shard"  # key of campaign.json in a folder with a part of the runs (shards.py)
 LAYOUT = 2
+_IDENTITY = "campaign", "disperse", "wind_model", "tables", "simulator"
 _NOT_IDENTITY = tuple(f"campaign.{key}" for key in ("runs", "batch", "keep", "success", "confidence"))
 Wait = Callable[[str], None]
 """A function that waits for a short time for another process, with its name as the argument."""
@@ -56,6 +59,16 @@ class StoredPart:
     last: int
 
 
+@dataclass(frozen=True)
+class PartFiles:
+    """The content of the files of a part: the rows of consecutive runs, and their histories (empty without any)."""
+
+    first: int
+    last: int
+    runs: bytes
+    histories: bytes
+
+
 class Store:
     """The folder of a campaign, opened by `open_store`. A single process at a time may write."""
 
@@ -65,6 +78,7 @@ class Store:
         self.notes: list[str] = []  # findings and repairs
         self._channels = campaign.campaign.envelope.channels
         self._lock = filelock.FileLock(folder / LOCK)
+        self._copy: ObjectFolder | None = None
         self._made = False  # True if this process made the folder
 
     def make(self) -> None:
@@ -82,12 +96,12 @@ class Store:
             (self.folder / RUNS).rmdir()
             self.folder.rmdir()
 
-    def missing(self, runs: int, batch: int) -> Iterator[tuple[int, int]]:
-        """Yield the runs below `runs` that are in no part, as (first, count), divided at multiples of `batch`."""
-        at = 0
-        for part in [*parts_in(self.folder), StoredPart(self.folder, runs, runs)]:
-            while at < min(part.first, runs):
-                end = min((at // batch + 1) * batch, part.first, runs)
+    def missing(self, runs: range, batch: int) -> Iterator[tuple[int, int]]:
+        """Yield those of `runs` that are in no part, as (first, count), divided at multiples of `batch`."""
+        at = runs.start
+        for part in [*parts_in(self.folder), StoredPart(self.folder, runs.stop, runs.stop)]:
+            while at < min(part.first, runs.stop):
+                end = min((at // batch + 1) * batch, part.first, runs.stop)
                 yield at, end - at
                 at = end
             at = max(at, part.last + 1)
@@ -97,14 +111,23 @@ class Store:
 
         Raises CampaignError if a file cannot be written; no incomplete file is then left.
         """
-        table, histories = table_of(rows, self.schema), history_table(rows, self._channels)
-        first, last = table["run"][0].as_py(), table["run"][-1].as_py()
-        if last - first + 1 != len(table):
-            raise ValueError(f"runs {first} to {last} are not {len(table)} rows")
-        name = f"runs-{first:010d}-{last:010d}.parquet"
-        if len(histories):
-            _write_table(histories, self.folder / HISTORIES / name)
-        _write_table(table, self.folder / RUNS / name)
+        self.write_files(files_of(rows, self.schema, self._channels))
+
+    def write_files(self, part: PartFiles) -> None:
+        """Write a part from the content of its files. Raises CampaignError as `write` does."""
+        name = f"runs-{part.first:010d}-{part.last:010d}.parquet"
+        if part.histories:
+            write_whole(self.folder / HISTORIES / name, part.histories, CampaignError, durable=True)
+        write_whole(self.folder / RUNS / name, part.runs, CampaignError, durable=True)
+        if self._copy is not None:
+            if part.histories:
+                self._copy.write(f"{HISTORIES}/{name}", part.histories)
+            self._copy.write(f"{RUNS}/{name}", part.runs)
+
+    def begin_copy(self, copy: ObjectFolder) -> None:
+        """Copy all parts of this folder to object storage, and from now on each new one. Raises CampaignError."""
+        copy.push(self.folder)
+        self._copy = copy
 
     def lock(self, elsewhere: str, wait: Wait | None = None) -> None:
         """Acquire the lock, which is released at the latest when the process ends.
@@ -127,7 +150,8 @@ class Store:
                         problem = f"{who} is flying this campaign; wait for it, or {elsewhere}"
                         raise CampaignError(f"{self.folder}: {problem}") from None
                     wait(who)
-            path.write_text(str(os.getpid()))
+            with contextlib.suppress(PermissionError):  # Windows locks the content of the file as well
+                path.write_text(str(os.getpid()))
         except OSError as error:
             self._lock.release()
             raise CampaignError(cannot_write(path, error)) from error
@@ -142,7 +166,7 @@ class Store:
                 stray.unlink(missing_ok=True)
         reach = -1
         for part in parts_in(self.folder):
-            problem = self._problem(part)
+            problem = part_problem(part, self.schema)
             if not problem and part.first <= reach:
                 problem = f"it contains run {part.first}, which another part already contains"
             if problem:
@@ -156,14 +180,15 @@ class Store:
             if path.name not in there:
                 path.unlink()
 
-    def _problem(self, part: StoredPart) -> str:
-        """Return the fault of a part, or an empty string if it is valid."""
-        try:
-            runs = read_part(part.path, schema=self.schema)["run"].to_numpy()
-        except CampaignError as error:
-            return str(error).removeprefix(f"{part.path}: ")
-        whole = np.array_equal(runs, np.arange(part.first, part.last + 1))
-        return "" if whole else "its rows are not the runs of its name"
+
+def part_problem(part: StoredPart, schema: pa.Schema) -> str:
+    """Return the fault of a part, or an empty string if it is valid."""
+    try:
+        runs = read_part(part.path, schema=schema)["run"].to_numpy()
+    except CampaignError as error:
+        return str(error).removeprefix(f"{part.path}: ")
+    whole = np.array_equal(runs, np.arange(part.first, part.last + 1))
+    return "" if whole else "its rows are not the runs of its name"
 
 
 def read_part(path: Path, columns: list[str] | None = None, schema: pa.Schema | None = None) -> pa.Table:
@@ -186,7 +211,7 @@ def read_part(path: Path, columns: list[str] | None = None, schema: pa.Schema | 
             coded = file.read(columns)  # a text once, with an index in each row
             _check_size(path, 8 * values + sum(_text_bytes(column) for column in coded.columns))
             return coded.cast(pa.schema([whole.field(name) for name in coded.column_names]))
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, UnicodeDecodeError, pa.ArrowException) as error:  # a damaged name of a column is no text
         raise CampaignError(f"{path}: it cannot be read ({str(error).splitlines()[0][:100]})") from None
 
 
@@ -209,19 +234,36 @@ def _text_bytes(column: pa.ChunkedArray) -> int:
     return sum(pc.sum(chunk).as_py() or 0 for chunk in lengths)
 
 
-def _write_table(table: pa.Table, path: Path) -> None:
+def files_of(rows: Sequence[Row], schema: pa.Schema, channels: Sequence[str]) -> PartFiles:
+    """Return the files of a part with the rows of consecutive runs, and with the histories of `channels`."""
+    table, histories = table_of(rows, schema), history_table(rows, channels)
+    first, last = table["run"][0].as_py(), table["run"][-1].as_py()
+    if last - first + 1 != len(table):
+        raise ValueError(f"runs {first} to {last} are not {len(table)} rows")
+    return PartFiles(first, last, _as_parquet(table), _as_parquet(histories) if len(histories) else b"")
+
+
+def _as_parquet(table: pa.Table) -> bytes:
     texts = [f.name for f in table.schema if pa.types.is_string(f.type)]  # numbers rarely repeat
-    with whole_file(path, CampaignError, durable=True) as part, open(part, "wb") as file:
-        pq.write_table(table, file, compression="snappy", use_dictionary=texts, write_page_checksum=True)
+    with pa.BufferOutputStream() as sink:
+        pq.write_table(table, sink, compression="snappy", use_dictionary=texts, write_page_checksum=True)
+        content: bytes = sink.getvalue().to_pybytes()
+    return content
 
 
 def open_store(
-    folder: Path, campaign: LoadedCampaign, elsewhere: str = "give another --out", wait: Wait | None = None
+    folder: Path,
+    campaign: LoadedCampaign,
+    elsewhere: str = "give another --out",
+    wait: Wait | None = None,
+    shard: str | None = None,
+    copy: ObjectFolder | None = None,
 ) -> tuple[Store, int]:
     """Create and lock the folder of a campaign, and return it with the size of its batches.
 
-    `elsewhere` is the advice in messages, and `wait` that of `Store.lock`. Raises CampaignError if the folder cannot be
-    written, contains other data or another campaign, or is in use.
+    `elsewhere` is the advice in messages, `wait` that of `Store.lock`, `shard` the shard that the folder contains, and
+    `copy` its copy in object storage. Raises CampaignError if the folder cannot be written, contains other data,
+    another campaign or shard, or is in use.
     """
     try:
         there = sorted(os.listdir(folder)) if folder.is_dir() else []
@@ -233,9 +275,15 @@ def open_store(
         store.make()
         store.lock(elsewhere, wait)
         try:
-            batch = _same_campaign(folder, campaign, elsewhere)
+            identity = _identity(campaign, shard)
+            if copy is not None and (before := copy.manifest()) is not None:
+                _refuse_other(copy.address, before, identity, "give another --sync")
+                copy.pull(folder)
+            batch = _same_campaign(folder, campaign, identity, elsewhere)
             (folder / RUNS).mkdir(exist_ok=True)
             store.sweep()
+            if copy is not None:
+                store.begin_copy(copy)
         except BaseException:
             store.unlock()
             raise
@@ -244,15 +292,39 @@ def open_store(
     return store, batch
 
 
-def _same_campaign(folder: Path, campaign: LoadedCampaign, elsewhere: str) -> int:
+def _identity(campaign: LoadedCampaign, shard: str | None) -> dict[str, Any]:
+    """Return the content of campaign.json on which the rows of a campaign, or of a shard of it, depend."""
+    identity = description_of(campaign) | {"simulator": simulator()}
+    if campaign.campaign.sampling == "latin-hypercube":
+        identity["campaign"]["stratum"] = campaign.campaign.stratum or max(campaign.campaign.runs, 1)
+    return identity if shard is None else {SHARD: shard, **identity}
+
+
+def _refuse_other(place: object, before: dict[str, Any], identity: dict[str, Any], elsewhere: str) -> None:
+    """Raise CampaignError if the campaign.json of a place, `before`, is that of another campaign or shard."""
+    changed = differences(before, identity)
+    shards, totals = ([each.get(SHARD) for each in (before, identity)], [runs_of(each) for each in (before, identity)])
+    if shards[0] != shards[1]:
+        whole = "the whole campaign"
+        changed.insert(0, f"{SHARD} was {shards[0] or whole}, is {shards[1] or whole}")
+    elif shards[0] is not None and totals[0] != totals[1]:  # the shards would consist of other runs
+        changed.insert(0, f"campaign.runs was {totals[0]}, is {totals[1]}")
+    if changed:
+        more = f" (and {len(changed) - 1} more)" if len(changed) > 1 else ""
+        raise CampaignError(f"{place}: another campaign was flown here: {changed[0]}{more}; {elsewhere}")
+
+
+def runs_of(manifest: dict[str, Any]) -> Any:
+    """Return the number of runs of the whole campaign in a campaign.json, or None."""
+    return (manifest.get("campaign") or {}).get("runs")
+
+
+def _same_campaign(folder: Path, campaign: LoadedCampaign, identity: dict[str, Any], elsewhere: str) -> int:
     """Write the description of the campaign, or check that an existing description is the same.
 
     Returns the size of batches. If the campaign gives no size, it is a 32nd of the runs, rounded down to a power of two
     and limited to 64 to 1024. Raises CampaignError for another campaign.
     """
-    identity = description_of(campaign) | {"simulator": simulator()}
-    if campaign.campaign.sampling == "latin-hypercube":
-        identity["campaign"]["stratum"] = campaign.campaign.stratum or max(campaign.campaign.runs, 1)
     path = folder / MANIFEST
     if not path.exists():
         runs = campaign.campaign.runs
@@ -260,10 +332,7 @@ def _same_campaign(folder: Path, campaign: LoadedCampaign, elsewhere: str) -> in
         write_json(path, {"layout": LAYOUT, "name": campaign.name, "batch": batch, **identity})
         return batch
     before = read_manifest(folder)
-    changed = differences(before, identity)
-    if changed:
-        more = f" (and {len(changed) - 1} more)" if len(changed) > 1 else ""
-        raise CampaignError(f"{folder}: another campaign was flown here: {changed[0]}{more}; {elsewhere}")
+    _refuse_other(folder, before, identity, elsewhere)
     return int(before["batch"])
 
 
@@ -299,9 +368,10 @@ def campaign_in(folder: Path) -> LoadedCampaign:
 
 def differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
     """Return a text for each difference between two descriptions that has an effect on flights or draws."""
+    if all(before.get(part) == now.get(part) for part in ("scenario", *_IDENTITY)):  # the next lines take a second
+        return []
     old, new = (
-        _flat(toml_columns.loads(content["scenario"]))
-        | _flat({part: content.get(part) for part in ("campaign", "disperse", "wind_model", "tables", "simulator")})
+        _flat(toml_columns.loads(content["scenario"])) | _flat({part: content.get(part) for part in _IDENTITY})
         for content in (before, now)
     )
     out = []

@@ -2,7 +2,8 @@
 
 instances.py defines the running code. A guarded flight is flown by another process (guard.py), which alone loads or
 imports the code. If the code crashes or does not return, the flight ends, and log and summary are closed as usual.
-Flights on several threads can therefore run Python code on several processors. Without `os.fork`, no flight is guarded.
+Flights on several threads can therefore run Python code on several processors. Without `os.fork` (Windows), guarded
+flights are rejected; `guard = false` flies the code in this process.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from __future__ import annotations
 import ctypes
 import logging
 import math
-import os
 import weakref
 from collections.abc import Callable
 from functools import lru_cache
@@ -19,6 +19,7 @@ from typing import Any
 
 from maxq.control.external import ABI
 from maxq.sim.input.errors import ScenarioError
+from maxq.sim.run import guard
 from maxq.sim.run.guard import MEMORY, Arrays, Worker, advance_to, complaint, instance_for, worker_for
 from maxq.sim.run.held_code import CodeWindows, load_kernels
 from maxq.sim.run.instances import Instance, Setup, Unusable, ended
@@ -54,7 +55,7 @@ def _report_end(code: str, said: str) -> None:
 def guards(loaded: LoadedScenario) -> bool:
     """Return True if the scenario's flight code runs in a separate process."""
     computer = loaded.scenario.vehicle.computer
-    return computer is not None and computer.law == "external" and computer.guard and hasattr(os, "fork")
+    return computer is not None and computer.law == "external" and computer.guard
 
 
 def checked(loaded: LoadedScenario) -> ComputerSection:
@@ -64,6 +65,10 @@ def checked(loaded: LoadedScenario) -> ComputerSection:
     """
     computer = loaded.vehicle.computer
     assert computer is not None
+    if computer.guard and not guard.FORKS:
+        problem = "this system cannot fork the process that guards a flight"
+        allowed = "false, with which a crash of the code also ends maxq"
+        raise ScenarioError(loaded.label, problem, f"{KEY}.guard", value=True, allowed=allowed)
     for key, file in computer.hashed_files.items():
         if key == "sources":  # the code that runs is the library
             continue

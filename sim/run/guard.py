@@ -73,6 +73,8 @@ except ImportError:  # Windows
 
 Arrays = tuple[NDArray[Any], ...]
 """The arguments of `loop.advance` in order, except `until_ns`."""
+FORKS = hasattr(os, "fork")
+"""False on Windows, where no process can guard a flight."""
 MEMORY = 2  # index of the flight's memory in Arrays
 
 _WATCHED_BYTES = int(dict(dtype_of(Memory).fields or {})["sections"][1])
@@ -330,7 +332,7 @@ def _forget() -> None:
     _leaving.clear()
 
 
-if hasattr(os, "fork"):
+if FORKS:
     os.register_at_fork(after_in_child=_forget)
     atexit.register(_end_idle)
 

@@ -17,6 +17,7 @@ from enum import IntEnum
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn, Self
 
+from maxq.tools.cli.system import linux_function
 from maxq.tools.cli.terminal import aligned, columns, folded, printable, tell, wipe
 
 if TYPE_CHECKING:
@@ -239,9 +240,7 @@ def _keep_freed_memory() -> None:
     Requesting each page from the system again takes a hundredth of a campaign's time. Other C libraries are not
     changed.
     """
-    import ctypes  # noqa: PLC0415  # lazy: --help does not need it
-
-    if sys.platform == "linux" and (set_option := getattr(ctypes.CDLL(None), "mallopt", None)) is not None:
+    if (set_option := linux_function("mallopt")) is not None:
         for option, size in ((_TRIM_THRESHOLD, 64 << 20), (_MMAP_THRESHOLD, 32 << 20)):
             set_option(option, size)
 

@@ -359,6 +359,10 @@ def order_cases(stage: LoadedCase) -> dict[tuple[str, str], LoadedCase]:
     return out
 
 
+START = "fork" if sys.platform == "linux" else "spawn"
+"""The start of the processes of a pool: a fork has the compiled functions and the data of this process at once."""
+
+
 def solve_orders(
     cases: Mapping[tuple[str, str], LoadedCase], plants: Plants, watch: Callable[[int, int], None]
 ) -> FoundDesigns:
@@ -373,8 +377,7 @@ def solve_orders(
     }
     found: dict[tuple[str, str], Solution] = {}
     under_way: dict[Future[Solution], tuple[str, str]] = {}
-    context = get_context("fork" if sys.platform == "linux" else "spawn")
-    with ProcessPoolExecutor(cores(), context, _begin_orders, (cases, plants)) as pool:
+    with ProcessPoolExecutor(cores(), get_context(START), _begin_orders, (cases, plants)) as pool:
         try:
             while len(found) < len(cases):
                 waiting = [key for key in cases if key not in found and key not in under_way.values()]

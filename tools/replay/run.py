@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import ctypes
 import os
-import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from maxq.tools.cli.frame import Exit, say
+from maxq.tools.cli.system import linux_function
 from maxq.tools.cli.terminal import Progress, tell, wipe
 from maxq.tools.replay import viewer
 from maxq.tools.replay.flight import ReplayFlight, find_logs, open_flights
@@ -98,7 +97,7 @@ def _show(flights: list[ReplayFlight], given: argparse.Namespace, client: Callab
 
 def _give_back_memory() -> None:
     """Return freed memory to the system. Otherwise, glibc keeps a hundred megabytes."""
-    if sys.platform.startswith("linux") and (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
+    if (trim := linux_function("malloc_trim")) is not None:
         trim(0)
 
 

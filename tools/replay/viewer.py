@@ -9,7 +9,6 @@ viewer running.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import functools
 import http.client
 import importlib.metadata
@@ -28,7 +27,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from maxq.control.kernel.machine import own_cache
+from maxq.tools.cli import system
 from maxq.tools.cli.frame import CommandError
+from maxq.tools.cli.system import linux_function
 
 if TYPE_CHECKING:
     from maxq.tools.replay.viewer_control import ViewerControl
@@ -78,7 +79,7 @@ def environment() -> dict[str, str]:
     """
     env = dict(os.environ)
     env.setdefault("RUST_LOG", "error")
-    if sys.platform.startswith("linux"):
+    if system.LINUX:
         if not env.get("XDG_RUNTIME_DIR"):
             env["XDG_RUNTIME_DIR"] = tempfile.gettempdir()
         env["XDG_CONFIG_HOME"] = str(_own_config())
@@ -129,7 +130,7 @@ def check_port(port: int) -> None:
 
 def check_display() -> None:
     """Raise ReplayError if no window can be opened."""
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if system.LINUX and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise ReplayError(
             "there is no display to open a window on; use --web (then open the address in a browser), "
             "--screenshot FILE --at S, --plots DIR or --summary"
@@ -143,9 +144,8 @@ def _bind_to(parent: int) -> Callable[[], None] | None:
 
     prctl is looked up in advance, since few calls are safe between fork and exec.
     """
-    if not sys.platform.startswith("linux"):
+    if (prctl := linux_function("prctl")) is None:
         return None
-    prctl = ctypes.CDLL(None, use_errno=True).prctl
 
     def bind() -> None:
         prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)

@@ -25,7 +25,7 @@ from typing import Any
 
 from maxq.sim.campaign import runner
 from maxq.sim.campaign.read import load_campaign
-from maxq.sim.campaign.runs import Row
+from maxq.sim.campaign.runs import Row, fly_rows
 
 FLYING = 8
 SIMULATED, PROCESSES = 1000, 4
@@ -36,17 +36,19 @@ SLOW_SHARE, SLOW_FACTOR = 0.02, 10.0
 def _simulate(flight_s: float) -> None:
     """Make tasks of this process sleep instead of flying. Their rows are copies of the first run flown."""
     fly, chance = runner.fly_batch, random.Random(os.getpid())
-    known: list[tuple[list[Row], dict[str, str]]] = []
+    known: list[Row] = []
     at_once = threading.Lock()
 
-    def waited(packed: bytes, first: int, size: int) -> tuple[list[Row], dict[str, str]]:
+    def waited(packed: bytes, first: int, size: int) -> runner.FlownBatch:
+        campaign = runner._unpacked(packed)
         with at_once:
             if not known:
-                known.append(fly(packed, 0, 1))
-            runner._unpacked(packed).plan.draw(first, size)
-        (row,), theirs = known[0]
+                fly(packed, 0, 1)  # loads the kernels
+                known.extend(fly_rows(campaign, [(campaign.plan.draw(0, 1), 0)]))
+            campaign.plan.draw(first, size)
+            flown = runner.evaluated(campaign, [replace(known[0], run=run) for run in range(first, first + size)])
         time.sleep(size * flight_s * (SLOW_FACTOR if chance.random() < SLOW_SHARE else 1.0))
-        return [replace(row, run=run) for run in range(first, first + size)], theirs
+        return flown
 
     runner.fly_batch = waited
 
