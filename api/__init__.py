@@ -52,6 +52,7 @@ if TYPE_CHECKING:  # for type checkers and editors; the interpreter finds these 
     from maxq.sim.log.reader import Log
     from maxq.sim.run.flight import Flight
     from maxq.sim.run.fly import FlightRun
+    from maxq.sim.run.impact_channels import WithImpacts
     from maxq.sim.run.record import record
     from maxq.sim.scenario.loader import LoadedScenario
     from maxq.sim.scenario.schema_design import Design
@@ -74,11 +75,13 @@ __all__ = [
     "OperatingPoint",
     "ScenarioError",
     "Verification",
+    "WithImpacts",
     "bode",
     "builtin_names",
     "campaign",
     "fly",
     "given_points",
+    "impacts",
     "load",
     "load_design",
     "loop",
@@ -115,6 +118,7 @@ _HOMES = {
     "maxq.sim.log.reader": ("Log",),
     "maxq.sim.run.flight": ("Flight",),
     "maxq.sim.run.fly": ("FlightRun",),
+    "maxq.sim.run.impact_channels": ("WithImpacts",),
     "maxq.sim.run.record": ("record",),
     "maxq.sim.input.errors": ("ScenarioError",),
     "maxq.sim.input.files": ("builtin_names",),
@@ -230,6 +234,21 @@ def read(path: str | Path) -> Log | DataSet:
     if (place / MANIFEST).is_file():
         return DataSet(place, campaign_in(place))
     return read_log(place / LOG_NAME if place.is_dir() else place)
+
+
+def impacts(of: Flight | Log, ballistic_kgpm2: float | None = None) -> WithImpacts:
+    """Return a flight with the channels of its instantaneous impact points, and with the drop points of its stages.
+
+    The channels are ``impact_latitude_deg``, ``impact_longitude_deg`` and ``impact_fall_s`` in vacuum, on a Kepler
+    ellipse without J2. The method ``drop_points()`` lists the points of dropped stages, boosters and fairings.
+
+    :param of: Flight with log rows, or log.
+    :param ballistic_kgpm2: m / (C_D A), kg/m2: adds channels ``impact_drag_...`` with drag, J2 and wind.
+    :raises LogError: If a log contains no scenario.
+    """
+    from maxq.sim.run.impact_channels import WithImpacts
+
+    return WithImpacts(of, ballistic_kgpm2)
 
 
 def plot(of: Flight | Log, *names: str) -> Figure:

@@ -46,6 +46,14 @@ _CAMPAIGN = {
 }
 _RESUMED = {Exit.INTERRUPTED: "interrupted; the same command resumes the campaign"}
 _KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "points", "flight-software")
+_FLIGHT_FILES = {
+    "csv": "table of channels over time (.csv); units end their names",
+    "mat": "MATLAB file (.mat) of channels, units and descriptions",
+    "kml": "map (.kml): trajectory, impact points, drop points",
+    "geojson": "the same map (.geojson)",
+    "oem": "ephemeris (.oem, CCSDS 502.0-B)",
+    "opm": "state after the last burn (.opm, CCSDS 502.0-B)",
+}
 _FORMER = ("--copy", "--schema", "--upgrade", "--from")
 
 
@@ -237,13 +245,27 @@ def _add_files(parser: Parser) -> None:
 
 
 def _add_export(parser: Parser) -> None:
-    examples = "  simrun export nominal --fmu rocket.fmu   needs the extra maxq[fmu]\n"
-    about = "Export the vehicle of a scenario as a unit for co-simulation (FMI)"
+    examples = """\
+  simrun export runs/nominal/flight.mcap --csv f.csv --kml f.kml
+  simrun export runs/nominal/flight.mcap --mat f.mat --channels /truth --channels mach
+  simrun export runs/nominal/flight.mcap --oem f.oem --utc 2026-01-31T12:00:00Z
+  simrun export nominal --fmu rocket.fmu   needs the extra maxq[fmu]
+"""
+    about = "Export a flown flight (tables, maps, orbit messages), or a scenario as a unit for co-simulation"
     export = parser.command("export", about, examples, _export)
-    export.option("SCENARIO", "scenario file (.toml), or name of a built-in scenario")
-    export.option("--fmu FILE", "the unit (.fmu): sensors out, commands in", required=True)
-    export.option("--fmi 3.0|2.0", "version of FMI (default 3.0)")
-    export.overrides("the scenario")
+    export.option("LOG|SCENARIO", "log (.mcap) or its folder; for --fmu a scenario (.toml, or built-in)", dest="place")
+    flight = [f"--{kind}" for kind in _FLIGHT_FILES]
+    for kind, text in _FLIGHT_FILES.items():
+        export.option(f"--{kind} FILE", text, without=["--fmu"])
+    about = "channel or topic (/truth) in tables; repeatable (default: all)"
+    export.option("--channels NAME...", about, needs=["--csv", "--mat"])
+    about = "m / (C_D A), kg/m2: adds the impact point with drag"
+    export.option("--ballistic B", about, needs=[f for f in flight if f not in ("--oem", "--opm")], type=positive)
+    export.option("--utc DATE", "date of T0 (default: site.utc)", needs=["--oem", "--opm"])
+    export.option("--frame TEME|ITRF2000", "frame of orbit messages (default TEME)", needs=["--oem", "--opm"])
+    export.option("--fmu FILE", "unit for co-simulation (FMI): sensors out, commands in")
+    export.option("--fmi 3.0|2.0", "version of FMI (default 3.0)", needs=["--fmu"])
+    export.overrides("the scenario", needs=["--fmu"])
 
 
 def _add_winds(parser: Parser) -> None:
@@ -343,11 +365,18 @@ def _fly(**given: Any) -> int:
     return simrun_fly.execute(start_s, **given)
 
 
-def _export(**given: Any) -> int:
-    _refuse_result(given["scenario"])
-    from maxq.tools.fmu import export  # noqa: PLC0415  # lazy
+def _export(place: str, **given: Any) -> int:
+    if "fmu" in given:
+        _refuse_result(place)
+        from maxq.tools.fmu import export as unit  # noqa: PLC0415  # lazy
 
-    return export.execute(**given)
+        return unit.execute(place, **given)
+    if not given.keys() & _FLIGHT_FILES.keys():
+        raise CommandError(f"export {place}: give a file to write: --fmu, --{', --'.join(_FLIGHT_FILES)}")
+    announce("loading the simulator")
+    from maxq.tools.exchange import export  # noqa: PLC0415  # lazy
+
+    return export.execute(place, **given)
 
 
 def _winds(**given: Any) -> int:

@@ -19,7 +19,7 @@ from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run import record
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import FlightRun
-from maxq.sim.scenario.loader import LoadedScenario, load_scenario, load_scenario_text
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress, announce, tell
 from maxq.tools.flight_report import report
@@ -127,8 +127,7 @@ def _load(scenario: str, log: str | None, overrides: tuple[str, ...]) -> tuple[L
     if log is None:
         return load_scenario(scenario, overrides).telling(overrides), Comparison(None)
     logged = read_run(log)
-    loaded = load_scenario_text(_scenario_text(logged), overrides, f"scenario in {log}")
-    return loaded.telling(overrides), Comparison(logged, changed=bool(overrides))
+    return record.scenario_in(logged, overrides).telling(overrides), Comparison(logged, changed=bool(overrides))
 
 
 def _folder(log: str | None, out: str | None, name: str, overrides: tuple[str, ...]) -> Path | None:
@@ -156,14 +155,6 @@ def announce_log(run: FlightRun) -> None:
     size_MB = 1e-6 * _VALUE_BYTES * values * scenario.run.duration_s
     if size_MB > _LARGE_MB:
         tell(f"log: up to {size_MB:.0f} MB; --set log.fast_hz=100 makes it smaller, --no-log omits it\n")
-
-
-def _scenario_text(logged: LoggedRun) -> str:
-    """Return the scenario as flown that a log contains. Raises LogError if it contains none."""
-    attachment = logged.attachments.get(record.SCENARIO_ATTACHMENT)
-    if attachment is None:
-        raise LogError(f"{logged.path}: the log holds no scenario ({record.SCENARIO_ATTACHMENT})")
-    return attachment.data.decode(errors="replace")
 
 
 class Comparison:

@@ -91,6 +91,27 @@ class Tabular(ABC):
             file.writelines(",".join(row) + "\n" for row in (head, *zip(*columns, strict=True)))
         return Path(path)
 
+    def to_mat(self, path: str | Path, *names: str) -> Path:
+        """Write a MATLAB file (.mat, version 5), and return its path.
+
+        It contains a struct for each rate group (`fast`, `slow`) with columns (n, 1): `time_s` and the channels. The
+        structs `units` and `descriptions` contain the texts of each channel. Names have at most 63 characters. Raises
+        FileError if the file cannot be written, and ValueError for a longer name.
+        """
+        from scipy.io import savemat  # noqa: PLC0415  # lazy: rarely needed
+
+        groups = self._groups(names)
+        exported = [self.table.channel(name) for group in groups for name in group]
+        content: dict[str, Any] = {
+            self.table.topic(group[0]).group: {"time_s": self.time_s(group[0])} | {name: self[name] for name in group}
+            for group in groups
+        }
+        content["units"] = {channel.name: channel.unit for channel in exported}
+        content["descriptions"] = {channel.name: channel.description for channel in exported}
+        with whole_file(Path(path)) as part, part.open("wb") as file:
+            savemat(file, content, long_field_names=True, oned_as="column")
+        return Path(path)
+
     def channels_in(self, names: Sequence[str]) -> list[str]:
         """Return the names of channels for names of channels and topics, without repetition. Raises KeyError."""
         known = {topic.name: [channel.name for channel in topic.channels] for topic in self.table.topics}

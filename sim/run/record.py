@@ -24,12 +24,13 @@ from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.input.values import period_ns
 from maxq.sim.log import messages
 from maxq.sim.log.head import Attachment, LogError, RunHead
+from maxq.sim.log.reader import LoggedRun
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.packing.integration import MethodError, worst_error
 from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, LoggedRows, copied
 from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, FAULT_NAME, SOFTWARE_NAME, FlightRun
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
-from maxq.sim.scenario.loader import LoadedScenario, to_toml
+from maxq.sim.scenario.loader import LoadedScenario, load_scenario_text, to_toml
 
 LOG_NAME, SUMMARY_NAME = "flight.mcap", "summary.json"
 SCENARIO_ATTACHMENT, DESIGN_ATTACHMENT = "scenario.toml", "design.toml"
@@ -105,6 +106,14 @@ def run_head(loaded: LoadedScenario, number: int = 0) -> RunHead:
     if scenario.design is not None:
         attachments.append(Attachment(DESIGN_ATTACHMENT, _TOML, to_toml(scenario.design).encode()))
     return RunHead(metadata, tuple(attachments))
+
+
+def scenario_in(logged: LoggedRun, overrides: tuple[str, ...] = ()) -> LoadedScenario:
+    """Return the scenario as flown that a log contains. Raises LogError if it contains none."""
+    attachment = logged.attachments.get(SCENARIO_ATTACHMENT)
+    if attachment is None:
+        raise LogError(f"{logged.path}: the log holds no scenario ({SCENARIO_ATTACHMENT})")
+    return load_scenario_text(attachment.data.decode(errors="replace"), overrides, f"scenario in {logged.path}")
 
 
 def result_record(flight: Flight) -> dict[str, str]:

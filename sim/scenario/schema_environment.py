@@ -50,7 +50,7 @@ class Site(Section):
     altitude_m: float = optional("height above the ellipsoid, m", 0.0)
     azimuth_deg: Angle = optional("launch azimuth, deg from north through east; direction of body z on the pad", 90.0)
     utc: Annotated[str, AfterValidator(_date_and_time)] = optional(
-        "date and time of T0, as 2026-01-31T12:00:00Z, for information only", ""
+        "date and time of T0, as 2026-01-31T12:00:00Z, for the log and exports", ""
     )
 
 

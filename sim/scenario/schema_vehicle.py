@@ -139,6 +139,9 @@ class Separation(Section):
     impulse_Ns: NotNegative = optional("forward impulse of retro-rockets or gas on the next stage, N s", 0.0)
     spring_J: NotNegative = optional("energy of the separation springs, J", 0.0)
     tip_off_degps: Triple = optional("initial rates of the next stage about x, y, z, deg/s", (0.0, 0.0, 0.0))
+    ballistic_kgpm2: Positive | None = optional(
+        "m / (C_D A) of what is dropped, kg/m2, for its impact point (default: impact in vacuum)"
+    )
 
 
 Actuators = Annotated[

@@ -109,10 +109,10 @@ class Parser(argparse.ArgumentParser):
         self._usages[action.dest] = (shown if how.get("required") else f"[{shown}]") + "..." * repeated
         self._bound[name] = needs, without
 
-    def overrides(self, of: str, without: Sequence[str] = ()) -> None:
+    def overrides(self, of: str, needs: Sequence[str] = (), without: Sequence[str] = ()) -> None:
         """Declare the option --set. `of` describes the values that it overrides, with an example."""
         text = f"override a value of {of}; repeatable"
-        self.option("--set KEY=VALUE...", text, without=without, dest="overrides")
+        self.option("--set KEY=VALUE...", text, needs, without, dest="overrides")
 
     def about_itself(self, listed: dict[str, str] | None = None) -> None:
         """Declare the options of every command, and --list if there are built-in files to list.

@@ -1,0 +1,98 @@
+"""The subcommand `simrun export LOG`: a flown flight as tables, maps and orbit messages."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+from maxq.sim.files import check_writable
+from maxq.sim.log.head import LogError
+from maxq.sim.log.reader import Log, read_log
+from maxq.sim.run.impact_channels import WithImpacts
+from maxq.sim.run.record import LOG_NAME
+from maxq.tools.cli.frame import CommandError, Exit
+from maxq.tools.cli.terminal import tell
+from maxq.tools.exchange.maps import Feature, features_of, write_geojson, write_kml
+from maxq.tools.exchange.orbit_messages import MessageFrame, OrbitMessages
+
+KINDS = ("csv", "mat", "kml", "geojson", "oem", "opm")
+"""The options that write a file of a flight, and the ends of the files' names."""
+
+
+def execute(
+    place: str,
+    *,
+    channels: tuple[str, ...] = (),
+    ballistic: float | None = None,
+    utc: str = "",
+    frame: MessageFrame = "TEME",
+    **files: str,
+) -> int:
+    """Write the files of KINDS given in `files`, and print a line for each.
+
+    Raises CommandError for a place that is no log or a channel that the log lacks, and LogError for an unusable log.
+    """
+    paths = {kind: _checked(kind, files[kind]) for kind in KINDS if kind in files}
+    log = _log(place)
+    for note in log.notes:
+        tell(f"warning: {place}: {note}")
+    flight = WithImpacts(log, ballistic)
+    found: list[Feature] = []
+    writers: dict[str, Callable[[Path], str]] = {
+        "csv": lambda path: _table(flight, path, channels, flight.to_csv),
+        "mat": lambda path: _table(flight, path, channels, flight.to_mat),
+        "kml": lambda path: _map(found, flight, lambda: write_kml(path, log.metadata.get("scenario", ""), found)),
+        "geojson": lambda path: _map(found, flight, lambda: write_geojson(path, found)),
+        "oem": lambda path: _ephemeris(flight, utc, frame, path),
+        "opm": lambda path: _insertion(flight, utc, frame, path),
+    }
+    for kind, path in paths.items():
+        try:
+            tell(f"{path}: {writers[kind](path)}")
+        except KeyError as error:
+            raise CommandError(f"{place}: {error.args[0]}") from None
+    return Exit.OK
+
+
+def _checked(kind: str, name: str) -> Path:
+    path = Path(name)
+    if path.suffix.lower() != f".{kind}":
+        raise CommandError(f"--{kind} {name}: the name of this file ends with .{kind}")
+    check_writable(path.parent)
+    return path
+
+
+def _log(place: str) -> Log:
+    path = Path(place) / LOG_NAME if Path(place).is_dir() else Path(place)
+    if path.suffix != ".mcap":
+        fly = f"simrun fly {shlex.quote(place)}"
+        raise CommandError(f"{place} is no log: fly the scenario first ({fly}), then export its {LOG_NAME}")
+    if not path.exists():
+        raise LogError(f"{path}: the log cannot be read: no such file")
+    return read_log(path)
+
+
+def _table(flight: WithImpacts, path: Path, channels: tuple[str, ...], write: Callable[..., Path]) -> str:
+    write(path, *channels)
+    count = len(flight.channels_in(channels)) if channels else len(flight.channels)
+    return f"{count} channel{'s' * (count != 1)}"
+
+
+def _map(found: list[Feature], flight: WithImpacts, write: Callable[[], None]) -> str:
+    if not found:
+        found += features_of(flight)
+    write()
+    drops = [feature for feature in found if feature.kind == "drop"]
+    lines = ", ".join(feature.name for feature in found if not feature.is_point)
+    return f"{lines}; {len(drops)} drop point{'s' * (len(drops) != 1)}"
+
+
+def _ephemeris(flight: WithImpacts, utc: str, frame: MessageFrame, path: Path) -> str:
+    OrbitMessages(flight, utc or flight.loaded.scenario.site.utc, frame).write_oem(path)
+    return f"ephemeris in {frame}"
+
+
+def _insertion(flight: WithImpacts, utc: str, frame: MessageFrame, path: Path) -> str:
+    at_s = OrbitMessages(flight, utc or flight.loaded.scenario.site.utc, frame).write_opm(path)
+    return f"state at {at_s:.3f} s in {frame}"
