@@ -69,6 +69,7 @@ def _add_flights(parser: Parser) -> None:
   simrun fly nominal                       the built-in scenario of that name
   simrun fly nominal --set run.seed=7 --out runs/seven
   simrun fly nominal --view --realtime 4   watch it at four times real speed
+  simrun fly nominal --pace                in real time, e.g. for a computer behind a socket
 """
     fly = parser.command(
         "fly", "Fly a scenario, write its log and summary, and print a verdict", examples, _fly, _FLIGHT
@@ -76,6 +77,10 @@ def _add_flights(parser: Parser) -> None:
     fly.option("SCENARIO", "scenario file (.toml), or name of a built-in scenario")
     fly.overrides("the scenario, e.g. run.step_s=0.0005; KEY= removes the key")
     fly.option("--out DIR", "where to write (default: runs/<name of the scenario>, with --set a folder of its own)")
+    about = "compute each sample of the flight computer at its time, X seconds of flight per second (default 1)"
+    fly.option("--pace [X]", about, without=["--view", "--view-port"], type=positive, const=1.0)
+    about = "end the flight if a sample is more than S seconds late (default: continue, and catch up)"
+    fly.option("--pace-limit S", about, needs=["--pace"], type=positive)
     _add_views(fly)
     examples = """\
   simrun refly runs/nominal/flight.mcap    the flight in a log

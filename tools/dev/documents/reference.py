@@ -38,6 +38,7 @@ from maxq.sim.run.fly import (
     FAULT_END_NAME,
     FAULT_NAME,
     IGNITION_NAME,
+    OVERRUN_NAME,
     RAIL_EXIT_NAME,
     RESTART_NAME,
     SOFTWARE_NAME,
@@ -66,6 +67,7 @@ _EVENTS = (
     FAULT_END_NAME,
     WAVE_BREAKING_NAME,
     SOFTWARE_NAME,
+    OVERRUN_NAME,
 )
 _EVENT_MEANINGS = {
     IGNITION_NAME: "the engine of a stage begins to burn",
@@ -85,6 +87,7 @@ _EVENT_MEANINGS = {
     FAULT_END_NAME: "a fault of the scenario ends",
     WAVE_BREAKING_NAME: "a wave reaches its breaking height (docs/model.md, section 5); the text names the tank",
     SOFTWARE_NAME: "external flight code has ended the flight; the text gives its reason (docs/flight-software.md)",
+    OVERRUN_NAME: "a flight with --pace-limit ends, because a sample was computed too late",
     "diverged": "the state is outside the bounds of a flight; the text gives the cause: "
     + ", or ".join(dict.fromkeys(cause for cause in CAUSES if cause)),
 }
