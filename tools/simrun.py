@@ -44,7 +44,8 @@ _CAMPAIGN = {
     Exit.UNDECIDED: "undecided: more runs are needed",
 }
 _RESUMED = {Exit.INTERRUPTED: "interrupted; the same command resumes the campaign"}
-_KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "points", "flight-software")
+_MODELS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "points")
+_KINDS = (*_MODELS, "flight-software", "messages")
 _FORMER = ("--copy", "--schema", "--upgrade", "--from")
 
 
@@ -215,9 +216,11 @@ def _add_files(parser: Parser) -> None:
     examples = """\
   simrun schema scenario > scenario.schema.json
   simrun schema flight-software > maxq_fsw.h
+  simrun schema messages > messages.csv
 """
-    schema = parser.command("schema", "Print the JSON Schema of a kind of file", examples, _print_schema)
-    kinds = f"{', '.join(_KINDS[:-1])}; or flight-software: the C header maxq_fsw.h"
+    about = "Print the JSON Schema of a kind of file, or the interface of flight code"
+    schema = parser.command("schema", about, examples, _print_schema)
+    kinds = f"{', '.join(_MODELS)}; flight-software: the C header maxq_fsw.h; messages: its structs over a socket"
     schema.option("KIND", kinds, choices=_KINDS)
     examples = "  simrun upgrade mine/case.toml            convert the file in place\n"
     about = "Convert a file of an earlier version to the present format"
@@ -371,6 +374,11 @@ def _print_schema(kind: str) -> int:
         from maxq.control.external import HEADER  # noqa: PLC0415  # lazy
 
         print(HEADER.read_text(encoding="utf-8"), end="")
+        return Exit.OK
+    if kind == "messages":
+        from maxq.tools.flight_messages import as_csv  # noqa: PLC0415  # lazy
+
+        print(as_csv(), end="")
         return Exit.OK
     import json  # noqa: PLC0415  # lazy
 

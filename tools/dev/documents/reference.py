@@ -48,6 +48,7 @@ from maxq.sim.scenario.messages import describe, section_of, unwrap
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.sim.vehicle.state import CAUSES
+from maxq.tools.flight_messages import fields
 from maxq.tools.schemas import MODELS
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
@@ -151,6 +152,20 @@ def ranges() -> str:
     return "\n".join(_ranges())
 
 
+def messages() -> str:
+    """Return a table of the fields of each message between maxq and a flight computer behind a socket."""
+    head, found = ("offset", "bytes", "type", "field", "meaning"), list(fields())
+    sections = []
+    for message in dict.fromkeys(field.message for field in found):
+        rows = [
+            (str(f.offset), str(f.bytes), f"`{f.type}`", f"`{f.name}`", f.meaning_and_version)
+            for f in found
+            if f.message == message
+        ]
+        sections.append(f"## {message.capitalize()}\n\n{_rows(head, rows)}")
+    return "\n".join(sections)
+
+
 def help_of(command: str) -> str:
     """Return the help of a command and of its subcommands, each subcommand below a heading."""
     code = f"import json; from maxq.tools.{command} import _parser; print(json.dumps(_parser().helps()))"
@@ -236,6 +251,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "events": events,
     "help": help_of,
     "keys": keys,
+    "messages": messages,
     "metrics": metrics,
     "ranges": ranges,
     "topics": topics,
