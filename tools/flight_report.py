@@ -36,10 +36,10 @@ _FINAL = (
 _TIGHT = 0.95  # utilisation of a limit from which a hint is given
 
 
-def report(flight: Flight, files: list[Path], total_s: float) -> str:
+def report(flight: Flight, files: list[Path], total_s: float, notes: Sequence[str] = ()) -> str:
     """Return the text that a command prints on a flight. Its last line is the verdict.
 
-    `files` are the written files. `total_s` is the wall-clock time of the command.
+    `files` are the written files. `total_s` is the wall-clock time of the command. `notes` are further lines.
     """
     scenario = flight.scenario.scenario
     title = printable(f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name)
@@ -49,7 +49,7 @@ def report(flight: Flight, files: list[Path], total_s: float) -> str:
         parts.append(_state(flight))
     error = worst_error(scenario)
     parts.append([f"warning: {printable(error.text)}"] if error is not None and error.text else [])
-    parts.append(_timing(flight, files, total_s) + _next_step(flight, files))
+    parts.append([*_timing(flight, files, total_s), *notes, *_next_step(flight, files)])
     parts.append([verdict_line(flight)])
     return "\n\n".join("\n".join(part) for part in parts if part)
 

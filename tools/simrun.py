@@ -45,7 +45,8 @@ _CAMPAIGN = {
     Exit.UNDECIDED: "undecided: more runs are needed",
 }
 _RESUMED = {Exit.INTERRUPTED: "interrupted; the same command resumes the campaign"}
-_KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "points", "flight-software")
+_MODELS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "points")
+_KINDS = (*_MODELS, "flight-software", "messages")
 _FLIGHT_FILES = {
     "csv": "table of channels over time (.csv); units end their names",
     "mat": "MATLAB file (.mat) of channels, units and descriptions",
@@ -79,6 +80,7 @@ def _add_flights(parser: Parser) -> None:
   simrun fly nominal                       the built-in scenario of that name
   simrun fly nominal --set run.seed=7 --out runs/seven
   simrun fly nominal --view --realtime 4   watch it at four times real speed
+  simrun fly nominal --pace                in real time, e.g. for a computer behind a socket
 """
     fly = parser.command(
         "fly", "Fly a scenario, write its log and summary, and print a verdict", examples, _fly, _FLIGHT
@@ -86,6 +88,10 @@ def _add_flights(parser: Parser) -> None:
     fly.option("SCENARIO", "scenario file (.toml), or name of a built-in scenario")
     fly.overrides("the scenario, e.g. run.step_s=0.0005; KEY= removes the key")
     fly.option("--out DIR", "where to write (default: runs/<name of the scenario>, with --set a folder of its own)")
+    about = "compute each sample of the flight computer at its time, X seconds of flight per second (default 1)"
+    fly.option("--pace [X]", about, without=["--view", "--view-port"], type=positive, const=1.0)
+    about = "end the flight if a sample is more than S seconds late (default: continue, and catch up)"
+    fly.option("--pace-limit S", about, needs=["--pace"], type=positive)
     _add_views(fly)
     examples = """\
   simrun refly runs/nominal/flight.mcap    the flight in a log
@@ -234,9 +240,11 @@ def _add_files(parser: Parser) -> None:
     examples = """\
   simrun schema scenario > scenario.schema.json
   simrun schema flight-software > maxq_fsw.h
+  simrun schema messages > messages.csv
 """
-    schema = parser.command("schema", "Print the JSON Schema of a kind of file", examples, _print_schema)
-    kinds = f"{', '.join(_KINDS[:-1])}; or flight-software: the C header maxq_fsw.h"
+    about = "Print the JSON Schema of a kind of file, or the interface of flight code"
+    schema = parser.command("schema", about, examples, _print_schema)
+    kinds = f"{', '.join(_MODELS)}; flight-software: the C header maxq_fsw.h; messages: its structs over a socket"
     schema.option("KIND", kinds, choices=_KINDS)
     examples = "  simrun upgrade mine/case.toml            convert the file in place\n"
     about = "Convert a file of an earlier version to the present format"
@@ -463,6 +471,11 @@ def _print_schema(kind: str) -> int:
         from maxq.control.external import HEADER  # noqa: PLC0415  # lazy
 
         print(HEADER.read_text(encoding="utf-8"), end="")
+        return Exit.OK
+    if kind == "messages":
+        from maxq.tools.flight_messages import as_csv  # noqa: PLC0415  # lazy
+
+        print(as_csv(), end="")
         return Exit.OK
     import json  # noqa: PLC0415  # lazy
 

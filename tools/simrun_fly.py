@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 
-from maxq.sim.files import check_writable, plain_name
+from maxq.sim.files import check_writable, plain_name, write_whole
 from maxq.sim.flight.telemetry import FAST, SLOW
 from maxq.sim.log.head import VERSION_KEY, LogError, maxq_version
 from maxq.sim.log.reader import LoggedRun, read_run
@@ -19,6 +21,7 @@ from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run import record
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import FlightRun
+from maxq.sim.run.paced import PacedRun
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
 from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress, announce, tell
@@ -26,6 +29,7 @@ from maxq.tools.flight_report import report
 
 _VALUE_BYTES = 5.9  # of a compressed log: 102 MB of the nominal flight divided by its number of values
 _LARGE_MB = 100.0
+CYCLES_NAME = "pace.csv"  # of a paced flight
 
 
 def execute(
@@ -39,6 +43,8 @@ def execute(
     view: bool = False,
     view_port: int | None = None,
     realtime: float | None = None,
+    pace: float | None = None,
+    pace_limit: float | None = None,
 ) -> int:
     """Fly a scenario, or the scenario in a log. Return the exit code.
 
@@ -46,6 +52,8 @@ def execute(
     """
     announce(f"reading {scenario or log}")
     loaded, comparison = _load(scenario, log, overrides)
+    if pace is not None and loaded.vehicle.computer is None:
+        raise CommandError(f"--pace: {loaded.label} has no [computer], at whose samples the flight would wait")
     packed = pack_flight(loaded.scenario)
     folder = _folder(log, out, loaded.name, overrides)
     if folder is not None:
@@ -60,17 +68,21 @@ def execute(
 
             live = LiveView(loaded, view_port)
     with Progress():  # reports the compilation of kernels
-        if live is None:
-            run = FlightRun(loaded, packed, log=folder is not None and not no_log)
+        logs = folder is not None and not no_log
+        if live is not None:
+            run: FlightRun = live.run(packed, realtime)
+        elif pace is not None:
+            run = PacedRun(loaded, packed, logs, factor=pace, limit_s=pace_limit or math.inf)
         else:
-            run = live.run(packed, realtime)
+            run = FlightRun(loaded, packed, logs)
     if folder is not None and not no_log:
         announce_log(run)
     prepared_s = time.perf_counter()
 
     def timing() -> dict[str, float]:
         total_s = time.perf_counter() - start_s
-        return {"load_s": loaded_s - start_s, "prepare_s": prepared_s - loaded_s, "total_s": total_s}
+        timing = {"load_s": loaded_s - start_s, "prepare_s": prepared_s - loaded_s, "total_s": total_s}
+        return timing | (_pace_timing(run) if isinstance(run, PacedRun) else {})
 
     with Interruption() as stop, Progress() as progress:
 
@@ -80,6 +92,8 @@ def execute(
 
         if live is not None:
             live.stop = stop
+        if isinstance(run, PacedRun):
+            run.stop = stop
         comparison.look(run)
         try:
             if folder is None:
@@ -92,11 +106,43 @@ def execute(
     files = []
     if folder is not None:
         files = [folder / record.LOG_NAME] * (not no_log) + [folder / record.SUMMARY_NAME]
-    tell(report(flight, files, timing()["total_s"]))
+        (folder / CYCLES_NAME).unlink(missing_ok=True)  # it describes another flight
+    notes = []
+    if isinstance(run, PacedRun):
+        notes = [_pace_text(run)]
+        if folder is not None:
+            files.append(_write_cycles(folder / CYCLES_NAME, run))
+    tell(report(flight, files, timing()["total_s"], notes))
     same = comparison.verdict(flight)
     if flight.outcome == "interrupted":
         return Exit.INTERRUPTED
     return Exit.OK if flight.passed and same else Exit.FAILED
+
+
+def _pace_timing(run: PacedRun) -> dict[str, float]:
+    """Return the entries of a paced flight for the timing in the summary, s of real time."""
+    late = run.lateness()
+    entries = asdict(late) if late.cycles else {"cycles": 0}
+    return {"pace": run.factor} | {f"pace_{name}": value for name, value in entries.items()}
+
+
+def _pace_text(run: PacedRun) -> str:
+    late = run.lateness()
+    ms = "{:.3f} ms".format
+    text = f"at {run.factor:g} times real time: {late.cycles} cycles"
+    if late.cycles == 0:
+        return text
+    text += f", late by {ms(1e3 * late.late_mean_s)} on average, {ms(1e3 * late.late_99_s)} (99 %), "
+    text += f"{ms(1e3 * late.late_max_s)} at most, at {late.late_max_at_s:.3f} s; "
+    worst = f", late by at most {ms(1e3 * late.overrun_max_s)}" if late.overruns else ""
+    return f"{text}{late.overruns or 'no'} overrun{'s' * (late.overruns != 1)}{worst}"
+
+
+def _write_cycles(path: Path, run: PacedRun) -> Path:
+    """Write the time of flight, the lateness and the overruns of all cycles as CSV. Raises LogError."""
+    lines = [f"{time_s:.9g},{late_s:.6f},{overran:.0f}" for time_s, late_s, overran in run.cycles.tolist()]
+    write_whole(path, "\n".join(["time_s,late_s,overrun", *lines]) + "\n", LogError)
+    return path
 
 
 def show_flight(progress: Progress, run: FlightRun) -> None:

@@ -60,8 +60,8 @@ class Flight(Tabular):
 
     - `metrics`, `metric_times_s`: values and times by metric name; the time of a metric never updated is nan.
     - `outcome`: reason for the end: "impact" or another event of run.stop_at, "duration", "diverged",
-      "flight_software" or "interrupted".
-    - `cause`: reason for a divergence, or for a failure of external flight code.
+      "flight_software", "overrun" or "interrupted".
+    - `cause`: reason for a divergence, an overrun, or a failure of external flight code.
     - `final`: value of every channel at the last instant, with or without a log.
     """
 
@@ -171,6 +171,14 @@ class Flight(Tabular):
 def copied(rows: LoggedRows) -> LoggedRows:
     """Return a copy of log rows, which the next segment does not overwrite."""
     return {group: (times.copy(), values.copy()) for group, (times, values) in rows.items()}
+
+
+def joined(parts: list[LoggedRows]) -> LoggedRows:
+    """Return consecutive blocks of rows as one block."""
+    return {
+        group: (np.concatenate([part[group][0] for part in parts]), np.concatenate([part[group][1] for part in parts]))
+        for group in parts[0]
+    }
 
 
 class GrowingRows:

@@ -81,6 +81,8 @@ BOOSTER_NAMES = ("booster_ignition", "booster_burnout")
 _OF_STAGES = EVENT_NAMES[BURNOUT], EVENT_NAMES[SEPARATION]  # events of each stage
 CONTROL_LOST_NAME, DIVERGED_NAME = EVENT_NAMES[CONTROL_LOST], EVENT_NAMES[DIVERGED]
 SOFTWARE_NAME = "flight_software"  # external flight code has ended the flight
+OVERRUN_NAME = "overrun"  # a flight in real time has been too late (sim/run/paced.py)
+_FAILED = (CONTROL_LOST_NAME, DIVERGED_NAME, SOFTWARE_NAME, OVERRUN_NAME)
 BROKEN_WAVE = "the wave breaks; from here on, the pendulum model is not valid"
 CONTROL_LOST_CAUSE = f"the attitude error exceeds {math.degrees(CONTROL_LOST_RAD):.3g} deg under thrust"
 
@@ -351,9 +353,12 @@ class FlightRun:
         Returns the log rows of the segment in logged units. They are views that the next segment overwrites.
         """
         length_ns = length_ns or self.segment_ns
-        until = (self._now_ns // length_ns + 1) * length_ns
+        return self.fly_until((self._now_ns // length_ns + 1) * length_ns)
+
+    def fly_until(self, until_ns: int) -> LoggedRows:
+        """Fly to a time at most a segment ahead: a multiple of the step, or the next sample. Return rows as well."""
         start = time.perf_counter()
-        rows = self._advance(until, self._logged, self._rows, self._software)
+        rows = self._advance(until_ns, self._logged, self._rows, self._software)
         if self._software is not None and self.finished:
             rows = copied(rows)
             for own, flown in zip(self._own[2:5], self._arrays(self._logged, self._rows)[2:5], strict=True):
@@ -406,7 +411,7 @@ class FlightRun:
         if scenario.design is None or scenario.vehicle.computer is None:
             metrics |= dict.fromkeys(ATTITUDE_METRICS, math.nan)
         inexact = step_failure(scenario.run, metrics, judged)
-        failed = [e for e in events if e.name in (CONTROL_LOST_NAME, DIVERGED_NAME, SOFTWARE_NAME)]
+        failed = [e for e in events if e.name in _FAILED]
         return Flight(
             scenario=self.loaded,
             table=self.table,

@@ -275,19 +275,21 @@ The byte order is that of this machine.
 """
 MAGIC, SETUP, STEP, CLOSE = b"MAXQ", 1, 2, 3
 _CODE = struct.Struct("=q")
+_HEAD = HEADER.size + _CODE.size  # of an answer
 
 
 class _Remote(_InPython):
     """A computer behind a socket, in lockstep: each message contains a struct, and its answer a code and a struct.
 
-    Over UDP, a message is a datagram. Answers to earlier messages are ignored, and lost messages are not sent again.
+    Over UDP, a message is a datagram. Answers to earlier messages, which are duplicates or late, are ignored, and lost
+    messages are not sent again. Any other answer than that to the last message is an error.
     """
 
     def __init__(self, address: str, timeout_s: float, setup: Setup, version: int) -> None:
         super().__init__()
         self.version = version
         parts, self._number, self._timeout_s, self._address = urlsplit(address), 0, timeout_s, address
-        self._stream = parts.scheme == "tcp"
+        self._stream, self._ignored = parts.scheme == "tcp", 0
         place = (parts.hostname or "", parts.port or 0)
         try:
             if self._stream:
@@ -312,7 +314,7 @@ class _Remote(_InPython):
             return 1
         ctypes.memmove(ctypes.addressof(outputs), content, len(content))
         if code:
-            self.error = f"its step returned {code}"
+            self.error = f"{self._address}: its step returned {code}"
         return int(code != 0)
 
     def close(self) -> None:
@@ -323,7 +325,9 @@ class _Remote(_InPython):
     def _said(self, error: OSError) -> str:
         said = error.strerror.lower() if error.strerror else str(error)
         if isinstance(error, TimeoutError):
-            said = f"no answer within {self._timeout_s:g} s; its process may be stopped, or too slow"
+            lost = "" if self._stream else ", or a datagram was lost"
+            late = f" (ignored answers to earlier messages: {self._ignored})" if self._ignored else ""
+            said = f"no answer within {self._timeout_s:g} s{late}; its process may be stopped, or too slow{lost}"
         elif isinstance(error, ConnectionError) and self._number > 1:
             said = "the connection was closed; its process has ended"
         return f"{self._address}: {said}"
@@ -334,17 +338,37 @@ class _Remote(_InPython):
         until = time.monotonic() + self._timeout_s
         self._socket.settimeout(self._timeout_s)
         self._socket.sendall(HEADER.pack(MAGIC, kind, self._number) + content)
-        size = HEADER.size + _CODE.size + expected
         while True:
-            answer = self._received(size, until)
+            answer = self._received(_HEAD, until)
             if answer[:4] != MAGIC:
                 raise OSError("an answer that does not begin with MAXQ")
-            if len(answer) != size:
-                raise OSError(f"an answer of {len(answer)} bytes, not the {size} of maxq_fsw.h")
-            if HEADER.unpack_from(answer) == (MAGIC, kind, self._number):
-                return _CODE.unpack_from(answer, HEADER.size)[0], answer[HEADER.size + _CODE.size :]
-            if self._stream:
-                raise OSError("an answer to another message")
+            if len(answer) < _HEAD:
+                raise OSError(f"an answer of {len(answer)} bytes, without a header and code of {_HEAD} bytes")
+            _, of, number = HEADER.unpack_from(answer)
+            if not self._stream and 0 < number < self._number:
+                self._ignored += 1
+                continue
+            if (of, number) != (kind, self._number):
+                due = f"that to message {self._number}, of kind {kind}"
+                raise OSError(f"an answer to message {number}, of kind {of}; expected is {due}")
+            return _CODE.unpack_from(answer, HEADER.size)[0], self._struct(answer[_HEAD:], expected, until)
+
+    def _struct(self, content: bytes, expected: int, until: float) -> bytes:
+        """Return the struct of an answer, or raise OSError if it is not that of this version of maxq_fsw.h.
+
+        `content` follows the code of the answer; of a stream, nothing has been received yet. The struct may begin with
+        0 in place of its size.
+        """
+        if self._stream and expected:
+            content = self._received(_CODE.size, until)
+        found = len(content)
+        if expected and found >= _CODE.size and (self._stream or found == expected):
+            found = _CODE.unpack_from(content)[0] or expected
+        if found != expected:
+            of = [f", of version {version}" for version in range(1, ABI + 1) if found == size_of(Outputs, version)]
+            wanted = f"{expected}, of version {self.version} (key interface)" if expected else "none"
+            raise OSError(f"an answer with {found} bytes of outputs{''.join(of[:1])}; expected are {wanted}")
+        return content + self._received(expected - len(content), until) if self._stream and expected else content
 
     def _received(self, size: int, until: float) -> bytes:
         out = b""

@@ -28,7 +28,7 @@ from maxq.sim.log.reader import LoggedRun
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.packing.integration import MethodError, worst_error
 from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, LoggedRows, copied
-from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, FAULT_NAME, SOFTWARE_NAME, FlightRun
+from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, FAULT_NAME, OVERRUN_NAME, SOFTWARE_NAME, FlightRun
 from maxq.sim.run.launch_frames import LaunchFrames, LaunchSite
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario_text, to_toml
 
@@ -45,6 +45,7 @@ LEVELS = {
     CONTROL_LOST_NAME: messages.Level.ERROR,
     DIVERGED_NAME: messages.Level.FATAL,
     SOFTWARE_NAME: messages.Level.FATAL,
+    OVERRUN_NAME: messages.Level.FATAL,
 }
 
 

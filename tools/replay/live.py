@@ -17,10 +17,10 @@ import rerun as rr
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
-from maxq.sim.flight.telemetry import FAST, SLOW
+from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.log.messages import Level
 from maxq.sim.packing.flight import Packed
-from maxq.sim.run.flight import Event, Flight, LoggedRows, copied
+from maxq.sim.run.flight import Event, Flight, LoggedRows, copied, joined
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.run.record import LEVELS
 from maxq.sim.scenario.loader import LoadedScenario
@@ -324,11 +324,3 @@ class LiveRun(FlightRun):
         due_s = (int(self.memory.clock.now_ns) - self._begun_ns) / 1e9 / self._factor
         while (left_s := self._begun_s + due_s - time.monotonic()) > 0.0 and not self._view.stop():
             time.sleep(min(left_s, 0.1))
-
-
-def joined(parts: list[LoggedRows]) -> LoggedRows:
-    """Return consecutive blocks as one block."""
-    return {
-        group: (np.concatenate([part[group][0] for part in parts]), np.concatenate([part[group][1] for part in parts]))
-        for group in (FAST, SLOW)
-    }

@@ -38,6 +38,7 @@ from maxq.sim.run.fly import (
     FAULT_END_NAME,
     FAULT_NAME,
     IGNITION_NAME,
+    OVERRUN_NAME,
     RAIL_EXIT_NAME,
     RESTART_NAME,
     SOFTWARE_NAME,
@@ -47,6 +48,7 @@ from maxq.sim.scenario.messages import describe, section_of, unwrap
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.sim.vehicle.state import CAUSES
+from maxq.tools.flight_messages import fields
 from maxq.tools.schemas import MODELS
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
@@ -66,6 +68,7 @@ _EVENTS = (
     FAULT_END_NAME,
     WAVE_BREAKING_NAME,
     SOFTWARE_NAME,
+    OVERRUN_NAME,
 )
 _EVENT_MEANINGS = {
     IGNITION_NAME: "the engine of a stage begins to burn",
@@ -85,6 +88,7 @@ _EVENT_MEANINGS = {
     FAULT_END_NAME: "a fault of the scenario ends",
     WAVE_BREAKING_NAME: "a wave reaches its breaking height (docs/model.md, section 5); the text names the tank",
     SOFTWARE_NAME: "external flight code has ended the flight; the text gives its reason (docs/flight-software.md)",
+    OVERRUN_NAME: "a flight with --pace-limit ends, because a sample was computed too late",
     "diverged": "the state is outside the bounds of a flight; the text gives the cause: "
     + ", or ".join(dict.fromkeys(cause for cause in CAUSES if cause)),
 }
@@ -146,6 +150,20 @@ def metrics() -> str:
 def ranges() -> str:
     """Return a table of the ranges of numbers, by the names of keys and columns."""
     return "\n".join(_ranges())
+
+
+def messages() -> str:
+    """Return a table of the fields of each message between maxq and a flight computer behind a socket."""
+    head, found = ("offset", "bytes", "type", "field", "meaning"), list(fields())
+    sections = []
+    for message in dict.fromkeys(field.message for field in found):
+        rows = [
+            (str(f.offset), str(f.bytes), f"`{f.type}`", f"`{f.name}`", f.meaning_and_version)
+            for f in found
+            if f.message == message
+        ]
+        sections.append(f"## {message.capitalize()}\n\n{_rows(head, rows)}")
+    return "\n".join(sections)
 
 
 def help_of(command: str) -> str:
@@ -233,6 +251,7 @@ TABLES: dict[str, Callable[..., str]] = {
     "events": events,
     "help": help_of,
     "keys": keys,
+    "messages": messages,
     "metrics": metrics,
     "ranges": ranges,
     "topics": topics,
