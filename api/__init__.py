@@ -10,6 +10,7 @@
 
     made = maxq.optimise("ksr3-relaxed")
     made.bode(40.0), made.save("mine.toml")
+    made.loop(40.0, plane="yaw").step().plot()
     maxq.verify("mine.toml", "quick").judgement
 
 The names in ``__all__`` are the public API; docs/python.md states which changes are possible and when. The modules of
@@ -31,7 +32,7 @@ if TYPE_CHECKING:  # for type checkers and editors; the interpreter finds these 
 
     from maxq.design.laws.design_file import load_design
     from maxq.design.loop.fixed_path import Cut, LoopKind
-    from maxq.design.loop.loop import Loop, loops
+    from maxq.design.loop.loop import Loop
     from maxq.design.loop.multiloop import multiloops
     from maxq.design.margins.measure import Margins, margins
     from maxq.design.margins.multiloop import multiloop_margins
@@ -56,9 +57,20 @@ if TYPE_CHECKING:  # for type checkers and editors; the interpreter finds these 
     from maxq.sim.run.record import record
     from maxq.sim.scenario.loader import LoadedScenario
     from maxq.sim.scenario.schema_design import Design
+    from maxq.tools.design.analysed_loop import (
+        AnalysedLoop,
+        BodeCurves,
+        LocusCurves,
+        NicholsCurves,
+        SensitivityCurves,
+        TimeCurves,
+        loops,
+    )
     from maxq.tools.design.designed import Designed
 
 __all__ = [
+    "AnalysedLoop",
+    "BodeCurves",
     "CampaignError",
     "DataSet",
     "Designed",
@@ -67,13 +79,17 @@ __all__ = [
     "GivenPoint",
     "LoadedCampaign",
     "LoadedScenario",
+    "LocusCurves",
     "Log",
     "LogError",
     "Loop",
     "Margins",
+    "NicholsCurves",
     "Node",
     "OperatingPoint",
     "ScenarioError",
+    "SensitivityCurves",
+    "TimeCurves",
     "Verification",
     "WithImpacts",
     "bode",
@@ -101,7 +117,7 @@ __all__ = [
 ]
 _HOMES = {
     "maxq.design.laws.design_file": ("load_design",),
-    "maxq.design.loop.loop": ("Loop", "loops"),
+    "maxq.design.loop.loop": ("Loop",),
     "maxq.design.loop.multiloop": ("multiloops",),
     "maxq.design.margins.measure": ("Margins", "margins"),
     "maxq.design.margins.multiloop": ("multiloop_margins",),
@@ -123,6 +139,15 @@ _HOMES = {
     "maxq.sim.input.errors": ("ScenarioError",),
     "maxq.sim.input.files": ("builtin_names",),
     "maxq.sim.scenario.loader": ("LoadedScenario",),
+    "maxq.tools.design.analysed_loop": (
+        "AnalysedLoop",
+        "BodeCurves",
+        "LocusCurves",
+        "NicholsCurves",
+        "SensitivityCurves",
+        "TimeCurves",
+        "loops",
+    ),
     "maxq.tools.design.designed": ("Designed",),
 }
 """The modules that define the names which this module only exports."""
@@ -336,20 +361,27 @@ def verify(design: str | Path, suite: str | Path = "standard", *overrides: str) 
     return verify_design(design_path(str(design)), read_suite(str(suite), overrides), memory=memory.default_folder())
 
 
-def bode(design: str | Path, time_s: float, scenario: str | Path = "nominal", plane: Plane = "pitch") -> Figure:
-    """Draw the Bode, Nichols and Nyquist plots of a design's sampled loop at one operating point.
+def bode(
+    design: str | Path,
+    time_s: float,
+    scenario: str | Path = "nominal",
+    plane: Plane = "pitch",
+    kind: LoopKind = "sampled",
+) -> Figure:
+    """Draw the Bode, Nichols and Nyquist plots of a design's loop at one operating point on one sheet.
 
     :param design: Design file, folder with a design.toml, or the name of a built-in design.
     :param time_s: Vehicle time of the operating point, s.
     :param scenario: Scenario whose flight contains the operating point: TOML file, or the name of a built-in scenario.
     :param plane: ``"pitch"`` or ``"yaw"``.
+    :param kind: Model of the computer, as in :func:`loop`.
     :returns: A Matplotlib figure, which a notebook shows and `.savefig(path)` writes.
     :raises ScenarioError: If the design or the scenario is invalid.
-    :raises ValueError: If the time is outside the powered flight.
+    :raises ValueError: If the time is outside the powered flight, or if a value is not allowed.
     """
     from maxq.tools.design.designed import loop_figure
 
-    return loop_figure(str(design), time_s, scenario, plane)
+    return loop_figure(str(design), time_s, scenario, plane, kind)
 
 
 def loop(
@@ -362,7 +394,7 @@ def loop(
     cut: Cut = "gimbal_command",
     errata: Errata | str = "corrected",
     plant: PlantKind = "flown",
-) -> Loop:
+) -> AnalysedLoop:
     """Return the open loop of a design at one operating point.
 
     :param where: Operating point with its own time and plane (:func:`nodes`, :func:`given_points`,
@@ -376,7 +408,7 @@ def loop(
         ``"rate_command_to_q_m"`` (eq. 42). The latter two give no information about stability.
     :param errata: Errata of the paper to correct, for a scenario: a preset (``"corrected"``, ``"paper"``) or switches.
     :param plant: Plant for a scenario: ``"flown"``, or ``"table2"`` with the derivatives of the paper's Table 2.
-    :returns: The loop, for :func:`margins` and plots.
+    :returns: The loop, with its margins, responses and plots as methods.
     :raises ScenarioError: If the scenario or the design is invalid.
     :raises ValueError: If `design` or `time_s` is missing, if the time is outside the powered flight, or if a value is
         not allowed.
@@ -384,12 +416,12 @@ def loop(
     from pathlib import Path
 
     from maxq.design.laws.design_file import load_design
-    from maxq.design.loop.loop import loops
     from maxq.design.model.given import GivenPoint
     from maxq.design.model.operating_point import OperatingPoint
     from maxq.design.operating_points import nodes
     from maxq.sim.scenario.loader import load_scenario, read_design
     from maxq.sim.scenario.schema_design import Design
+    from maxq.tools.design.analysed_loop import loops
 
     node, scenario = (where, None) if isinstance(where, OperatingPoint) else (None, where)
     if isinstance(scenario, str | Path):

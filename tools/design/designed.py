@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 from maxq.design import operating_points
 from maxq.design.case.schema import read_case
 from maxq.design.laws.design_file import design_path, design_text, load_design
+from maxq.design.loop.fixed_path import LoopKind
+from maxq.design.loop.loop import loops
 from maxq.design.model.instruments import Plane
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify.judging import JudgedLoop, Wanted, judge
@@ -18,6 +20,7 @@ from maxq.design.verify.own_flight import design_case
 from maxq.sim.files import write_whole
 from maxq.sim.log.tabular import html_table
 from maxq.sim.scenario.loader import load_scenario
+from maxq.tools.design.analysed_loop import AnalysedLoop, analysed
 from maxq.tools.design.points import designed_at_points
 
 if TYPE_CHECKING:
@@ -50,6 +53,31 @@ class Designed:
         vehicle = loaded.scenario.vehicle.name if loaded.points is None else loaded.points.name
         return _drawn(one, f"{vehicle}: {loaded.name}", self.outcome.wanted)
 
+    def loop(
+        self, time_s: float | None = None, *, plane: Plane | None = None, kind: LoopKind | None = None
+    ) -> AnalysedLoop:
+        """Return the loop at a vehicle time, with its margins, responses and plots as methods.
+
+        By default, it is the operating point with the least gain margin, in the plane and with the kind of the case.
+        Raises ValueError for a time outside the powered flight or the points, and for the other plane of given points.
+        """
+        case, loaded = self.outcome.loaded.case, self.outcome.loaded
+        worst = min(self.outcome.judged, key=lambda j: j.gain_margin_db)
+        wanted_s = worst.time_s if time_s is None else time_s
+        own = worst.node.plane
+        known = [j.node for j in self.outcome.judged if j.time_s == wanted_s and plane in (None, own)]
+        if known:
+            (node, *_) = known
+        elif loaded.points is not None:
+            if plane not in (None, own):
+                raise ValueError(f"plane = {plane!r}: the points are of the plane {own}")
+            node = loaded.points.point(wanted_s)
+        else:
+            (node,) = operating_points.nodes(
+                loaded.along, [wanted_s], plane=plane or own, errata=case.errata, plant=case.plant
+            )
+        return analysed(loops([node], self.outcome.design, kind=kind or case.loop)[0])
+
     def save(self, path: str | Path) -> Path:
         """Save the design as a file for `fly(name, "design=path")` and `verify(path)`. Return the path."""
         return write_whole(Path(path), design_text(self.outcome.design, [f"Written for {self.outcome.loaded.name}."]))
@@ -77,11 +105,11 @@ def designed(case: str | Path, overrides: Sequence[str]) -> Designed:
     return Designed(replace(outcome, design=made.design), solution, made.feasible)
 
 
-def loop_figure(design: str, time_s: float, scenario: str | Path, plane: Plane) -> Figure:
-    """Draw the Bode, Nichols and Nyquist plots of a design's sampled loop at a vehicle time of a scenario's flight."""
+def loop_figure(design: str, time_s: float, scenario: str | Path, plane: Plane, kind: LoopKind) -> Figure:
+    """Draw the Bode, Nichols and Nyquist plots of a design's loop at a vehicle time of a scenario's flight."""
     flown = load_scenario(scenario)
     found = load_design(design_path(design), flown)
-    judged: Sequence[JudgedLoop] = judge(operating_points.nodes(flown, [time_s], plane=plane), found)
+    judged: Sequence[JudgedLoop] = judge(operating_points.nodes(flown, [time_s], plane=plane), found, kind)
     title = f"{flown.vehicle.name}: {found.name or design}"
     return _drawn(judged[0], title, Wanted.stated_by(found))
 

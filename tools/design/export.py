@@ -22,9 +22,8 @@ from maxq.control.structures import DRIFT, INTEGRAL, LAWS, MAX_SECTIONS, RELIEF,
 from maxq.design import operating_points
 from maxq.design.laws.design_file import design_path
 from maxq.design.loop.fixed_path import fixed_path
-from maxq.design.loop.loop import close_loop
+from maxq.design.loop.loop import Loop, close_loop
 from maxq.design.model.instruments import Plane
-from maxq.design.model.node import Node
 from maxq.design.model.state_space import StateSpace
 from maxq.design.verify.memory import content_hash
 from maxq.sim.files import FileError, cannot_write, check_writable, whole_file, write_whole
@@ -75,7 +74,7 @@ def execute(
     loaded, gains = load(scenario, vehicle, design)
     planes: tuple[Plane, ...] = (axis,) if axis is not None else ("pitch", "yaw")
     nodes = [node for plane in planes for node in operating_points.nodes(loaded, times_s or None, plane=plane)]
-    write_matrices(path, form, [described(node, gains) for node in nodes])
+    write_matrices(path, form, [described(close_loop(fixed_path(node, "sampled"), gains)) for node in nodes])
     tell(f"{len(nodes)} operating points in {path}")
     return Exit.OK
 
@@ -344,20 +343,18 @@ def _samples(loaded: LoadedScenario) -> dict[str, np.ndarray]:
 # Matrices at the operating points
 
 
-def described(node: Node, design: Any) -> dict[str, Any]:
-    """Return the systems at an operating point: the continuous plant, and the sampled path, law and open loop.
+def described(loop: Loop) -> dict[str, Any]:
+    """Return the systems of a loop: the continuous plant, and the path, law and open loop, sampled or continuous.
 
-    The path is from the gimbal command to the law's measurements.
+    The path is from the gimbal command to the law's measurements. A loop of the kind `exact` has no path and no open
+    loop as matrices.
     """
-    loop = close_loop(fixed_path(node, "sampled"), design)
-    systems = {
-        "plant": (node.plant, 0.0),
-        "path": (loop.fixed.measured(loop.law.inputs), loop.sample_s),
-        "law": (loop.law.state_space(), loop.sample_s),
-        "loop": (loop.state_space(), loop.sample_s),
-    }
-    return {"time_s": node.time_s, "axis": node.plane} | {
-        name: _system(found, sample_s or 0.0) for name, (found, sample_s) in systems.items()
+    node, sample_s = loop.fixed.node, loop.sample_s or 0.0
+    systems = {"plant": (node.plant, 0.0), "law": (loop.law.state_space(), sample_s)}
+    if loop.fixed.kind != "exact":
+        systems |= {"path": (loop.fixed.measured(loop.law.inputs), sample_s), "loop": (loop.state_space(), sample_s)}
+    return {"time_s": node.time_s, "axis": node.plane, "kind": loop.fixed.kind} | {
+        name: _system(*systems[name]) for name in ("plant", "path", "law", "loop") if name in systems
     }
 
 

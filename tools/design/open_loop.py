@@ -14,8 +14,8 @@ from maxq.design.certificate.response import decibels
 from maxq.design.margins.crossings import GainCrossings, PhaseCrossings
 from maxq.design.margins.distances import Zone
 from maxq.design.margins.lobes import Lobe
+from maxq.design.margins.measured_loop import LoopAtPoint
 from maxq.design.model.state_space import ComplexArray
-from maxq.design.verify.judging import JudgedLoop
 
 BOTTOM_DB = -40.0  # lower limit of Bode and Nichols plots
 LOWEST_HZ = 0.02
@@ -53,7 +53,7 @@ def named(lobe: Lobe) -> str:
     return lobe.label.replace("bending ", "mode ")
 
 
-def picture_of(judged: JudgedLoop, title: str, zones: Sequence[Zone] = ()) -> LoopPicture:
+def picture_of(judged: LoopAtPoint, title: str, zones: Sequence[Zone] = ()) -> LoopPicture:
     """Return the picture of the loop at an operating point.
 
     It contains the lobes, the crossings of 0 dB and of the negative real axis, and the point nearest to -1.

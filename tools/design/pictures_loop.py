@@ -32,10 +32,10 @@ TOP_DB = 50.0  # upper limit of Bode and Nichols plots
 def draw_loop(picture: LoopPicture) -> Figure:
     """Draw the Bode plot and |1 + L| on the left, and Nichols, Nyquist and the neighbourhood of -1 on the right."""
     figure, places = sheet(3, 2, height_in=2.9, width_in=8.4, title=f"Open loop: {picture.title}")
-    _bode(picture, places[0], places[2])
+    draw_bode(picture, places[0], places[2])
     _distance(picture, places[4])
-    _nichols(picture, places[1])
-    _nyquist(picture, places[3])
+    draw_nichols(picture, places[1])
+    draw_nyquist(picture, places[3])
     _near_minus_one(picture, places[5])
     grey = Line2D([], [], color=PALE, linewidth=1.2, label="|T| in dB, phase of T (Nichols); |L| in dB (Nyquist)")
     cross = Line2D([], [], color=BLACK, marker="+", markersize=9, markeredgewidth=1.8, linestyle="none", label="-1")
@@ -51,14 +51,14 @@ def draw_loop(picture: LoopPicture) -> Figure:
     return figure
 
 
-def _bode(picture: LoopPicture, gain: Axes, phase: Axes) -> None:
+def draw_bode(picture: LoopPicture, gain: Axes, phase: Axes, colour: str = BLUE) -> None:
     """Draw the Bode plot with an unwrapped phase. Dotted lines are at -180 deg and at whole turns from it."""
     f, loop = picture.frequency_hz, picture.loop
     level, turned = decibels(loop), unwrapped_deg(picture)
     seen = (f >= LOWEST_HZ) & (level > BOTTOM_DB)
     gain.axhline(0.0, color=GREY, linewidth=0.8)
-    gain.plot(f, level, color=BLUE)
-    phase.plot(f, turned, color=BLUE)
+    gain.plot(f, level, color=colour)
+    phase.plot(f, turned, color=colour)
     low, high = float(turned[seen].min()), float(turned[seen].max())
     step = 90.0 * max(1, round((high - low) / 540.0))
     phase.set_ylim(step * np.floor(low / step) - 0.2 * step, step * np.ceil(high / step) + 0.2 * step)
@@ -127,14 +127,14 @@ def contours() -> list[tuple[str, Array, Array]]:
 
 def _placed(loop: ComplexArray) -> tuple[Array, Array]:
     """Return the phase in [-360, 0) degrees and the level in dB, with gaps where the phase jumps."""
-    turn, level = _turn(loop), decibels(loop)
+    turn, level = turned_deg(loop), decibels(loop)
     jump = np.flatnonzero(np.abs(np.diff(turn)) > 180.0) + 1
     return np.insert(turn, jump, np.nan), np.insert(level, jump, np.nan)
 
 
-def _nichols(picture: LoopPicture, place: Axes) -> None:
+def draw_nichols(picture: LoopPicture, place: Axes, colour: str = BLUE) -> None:
     """Draw the loop in the Nichols plane over M and N contours, with lobes and margins named and zones shaded."""
-    level, turn = decibels(picture.loop), _turn(picture.loop)
+    level, turn = decibels(picture.loop), turned_deg(picture.loop)
     seen = level[picture.frequency_hz >= LOWEST_HZ]
     bottom, top = max(float(seen.min()), -40.0), min(max(float(seen.max()), 10.0) + 6.0, TOP_DB)
     for name, phase, db in contours():
@@ -151,12 +151,12 @@ def _nichols(picture: LoopPicture, place: Axes) -> None:
     place.axhline(0.0, color=GREY, linewidth=0.8, zorder=0.55)
     place.axvline(-180.0, color=GREY, linewidth=0.8, zorder=0.55)
     _cross(place, -180.0)
-    place.plot(*_broken(turn, level)[::-1], color=BLUE, linewidth=1.3)
+    place.plot(*_broken(turn, level)[::-1], color=colour, linewidth=1.3)
     place.set_xlim(-360.0, 0.0)
     place.set_xticks(range(-360, 1, 60))
     place.set_ylim(bottom, top)
     for n, mark in enumerate(picture.marks):
-        x, y = float(_turn(np.array([mark.loop]))[0]), float(decibels(np.array([mark.loop]))[0])
+        x, y = float(turned_deg(np.array([mark.loop]))[0]), float(decibels(np.array([mark.loop]))[0])
         if mark.what != "least" and bottom < y < top:
             _mark(place, mark, n, np.array([(x, y), (-180.0, 0.0)]))
     _name_frequencies(place, picture, np.stack([turn, level]))
@@ -183,7 +183,7 @@ def _name_frequencies(place: Axes, picture: LoopPicture, curve: Array) -> None:
             )
 
 
-def _nyquist(picture: LoopPicture, place: Axes) -> None:
+def draw_nyquist(picture: LoopPicture, place: Axes) -> None:
     """Draw the Nyquist plot.
 
     The radius is |L| up to 1, and r = 1 + ln |L| beyond, so that lobes of any size fit.
@@ -290,7 +290,7 @@ def _colour(n: int) -> str:
     return _OF_LOBES[n % len(_OF_LOBES)]
 
 
-def _turn(loop: ComplexArray) -> Array:
+def turned_deg(loop: ComplexArray) -> Array:
     """Return the phase in [-360, 0) degrees, so that -180 is in the middle."""
     return np.asarray(np.degrees(np.angle(-loop)) - 180.0)
 
