@@ -170,13 +170,22 @@ def test_grib_gives_the_same_profile(tmp_path: Path) -> None:
             for k, pressure in enumerate(_PRESSURES_hPa):
                 message = eccodes.codes_grib_new_from_samples("regular_ll_pl_grib2")
                 keys = {
-                    "Ni": 2, "Nj": 2, "latitudeOfFirstGridPointInDegrees": 40.0,
+                    "Ni": 2,
+                    "Nj": 2,
+                    "latitudeOfFirstGridPointInDegrees": 40.0,
                     "longitudeOfFirstGridPointInDegrees": 120.0,
-                    "latitudeOfLastGridPointInDegrees": 30.0, "longitudeOfLastGridPointInDegrees": 130.0,
-                    "iDirectionIncrementInDegrees": 10.0, "jDirectionIncrementInDegrees": 10.0,
-                    "dataDate": 20260601, "dataTime": 600, "step": 6, "shortName": name,
-                    "typeOfLevel": "isobaricInhPa", "level": int(pressure), "bitsPerValue": 24,
-                }  # fmt: skip  # a table
+                    "latitudeOfLastGridPointInDegrees": 30.0,
+                    "longitudeOfLastGridPointInDegrees": 130.0,
+                    "iDirectionIncrementInDegrees": 10.0,
+                    "jDirectionIncrementInDegrees": 10.0,
+                    "dataDate": 20260601,
+                    "dataTime": 600,
+                    "step": 6,
+                    "shortName": name,
+                    "typeOfLevel": "isobaricInhPa",
+                    "level": int(pressure),
+                    "bitsPerValue": 24,
+                }
                 for key, value in keys.items():
                     eccodes.codes_set(message, key, value)
                 eccodes.codes_set_values(message, data[name].values[k].ravel())

@@ -1,7 +1,7 @@
 """The subcommand `simrun winds FILE...`: wind profiles at a place, from gridded data of weather services.
 
-The files are NetCDF or GRIB with winds on pressure levels, such as those of ERA5, GFS and MERRA-2. xarray reads them
-(extra `maxq[winds]`), and interpolates linearly in latitude, longitude and time on each level. One CSV file is written
+The files are NetCDF or GRIB with winds on pressure levels, such as those of ERA5, GFS and MERRA-2. xarray (extra
+`maxq[winds]`) interpolates them linearly in latitude, longitude and time on each level. One CSV file is written
 for each time and ensemble member; `wind.profile` and `[wind_model] profiles` accept the files and their folder.
 
 Without heights, altitudes follow from the pressure by the US Standard Atmosphere 1976 (`wind_table` in
@@ -56,9 +56,13 @@ class _Profile(NamedTuple):
 
 
 def execute(
-    files: Sequence[str], *, place: tuple[float, float] | None = None, site: str | None = None,
-    time: datetime | None = None, out: str = "winds",
-) -> int:  # fmt: skip  # the options in one line
+    files: Sequence[str],
+    *,
+    place: tuple[float, float] | None = None,
+    site: str | None = None,
+    time: datetime | None = None,
+    out: str = "winds",
+) -> int:
     """Write the profiles at `place` (geodetic latitude and longitude, deg), or at the site of a scenario.
 
     `time` selects one time, UTC; without it, every time in the files has a profile. Raises CommandError without the
