@@ -407,7 +407,8 @@ def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
                 allowed = f"what 'simvehicle {layout} --out {layout}' writes here, first"
             raise source.error(("scenario",), error.problem, value=case.scenario, allowed=allowed) from None
         raise
-    return LoadedCase(case, label, scenario, _start_design(case, tree, scenario))
+    start = _start_design(case, tree, scenario)
+    return LoadedCase(case.model_copy(update={"scenario": flown}), label, scenario, start)
 
 
 def _beside(of: Model, tree: Any, file: Path | None) -> Model:
