@@ -7,6 +7,7 @@
 | a slow command rounded under the two tones of its dither | has the gain of a Bessel series, within 0.4 % |
 | these tones, integrated from rest | cause no mean rotation |
 | lower gain margin of a slow root whose burst is three such steps | that of the linear loop |
+| dither tones of a vehicle whose liquid swings at 0.83 Hz | are at other frequencies, and swing it a third as far |
 | excitation level predicted by the linear loop | that of the flight, and below every limit |
 | a stable loop; a loop beyond its stability boundary | decays; grows |
 | margin bounded at half the sample rate | the linear loop's: its burst does not vanish between the samples |
@@ -22,6 +23,8 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,12 +37,22 @@ from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import blank, pack
 from maxq.design.certificate.certificate import MarginRow, certify_node
 from maxq.design.certificate.certificate import _with_noise as with_noise
-from maxq.design.certificate.excitation import LineBand, band, excitation_level, injections
+from maxq.design.certificate.excitation import (
+    LineBand,
+    away_from_slosh,
+    band,
+    dither,
+    dither_tones_hz,
+    excitation_level,
+    injections,
+)
 from maxq.design.certificate.held_flight import hold, linear_limits
 from maxq.design.certificate.in_flight import _reason as reason_of
 from maxq.design.certificate.in_flight import converters_share, in_flight_response
 from maxq.design.certificate.measured_margins import LimitCycle, fine_dither, limit_cycle, measure_margin
 from maxq.design.certificate.response import BANDS
+from maxq.design.loop.fixed_path import fixed_path
+from maxq.design.loop.loop import loops
 from maxq.sim.packing.flight import Packed
 from maxq.sim.scenario.loader import load_scenario
 
@@ -315,6 +328,42 @@ def test_in_flight_response_agrees_or_says_why(loaded: LoadedScenario) -> None:
         middle = [i for i, hz in enumerate(found.lines_hz) if 2.0 < hz < 5.0]
         assert np.abs(found.difference_db[middle]).max() < 0.3
         assert np.abs(found.difference_deg[middle]).max() < 2.0
+
+
+@pytest.mark.parametrize(
+    ("slosh_hz", "tones_hz"),
+    [
+        ((), (0.525, 0.825)),
+        ((1.19, 1.22), (0.525, 0.825)),
+        ((0.862, 0.883), (0.525, 1.275)),
+        ((0.442, 0.525), (0.825, 1.275)),
+        ((0.509, 0.724), (1.275, 1.925)),
+        ((0.5, 0.85, 1.3, 1.9), (0.525, 0.825)),  # relative distances 0.05, 0.03, 0.02 and 0.01
+    ],
+)
+def test_dither_tones_avoid_slosh(slosh_hz: tuple[float, ...], tones_hz: tuple[float, ...]) -> None:
+    modes = [SimpleNamespace(kind="slosh", frequency_hz=hz) for hz in slosh_hz]
+    path: Any = SimpleNamespace(resonances=lambda: [*modes, SimpleNamespace(kind="bending", frequency_hz=0.525)])
+    assert dither_tones_hz(path) == tones_hz
+    bands = away_from_slosh(BANDS, path)
+    assert [b.dithered for b in bands] == [False, True, True]
+    for b in bands[1:]:
+        np.testing.assert_allclose(b.dither_hz, tones_hz, atol=1.01 / b.period_s)
+
+
+def test_the_liquid_swings_less_under_the_chosen_tones() -> None:
+    """The pendulums of KSR-III are 2.9 times as long, and swing at 0.831 and 0.838 Hz."""
+    longer = load_scenario("nominal", [f"vehicle.stage.0.tank.{n}.length_factor=2.9" for n in (0, 1)])
+    assert longer.design is not None
+    held = hold(longer, maxq.nodes(longer, [45.0])[0])
+    (loop,) = loops([held.node], longer.design)
+
+    def swing_deg(tones_hz: tuple[float, ...]) -> float:
+        tones = injections(dither(held, loop, np.array(tones_hz)), held.plane)
+        return float(held.fly(60.0, tones)[0].result().metrics["max_slosh_deg"])
+
+    assert swing_deg(DITHER_HZ) > 6.0
+    assert swing_deg(dither_tones_hz(fixed_path(held.node, "sampled"))) < 2.5
 
 
 def test_a_band_must_hold_its_lowest_line() -> None:

@@ -352,6 +352,29 @@ def test_analyse_flies_the_scenario_of_the_design(capsys: Printed) -> None:
 
 
 @pytest.mark.slow
+def test_a_design_of_a_case_file_is_analysed_along_the_scenario_of_its_case(capsys: Printed) -> None:
+    """The basis names the scenario file, and another working folder needs the option."""
+    Path("mine").mkdir()
+    (Path("mine") / "scenario.toml").write_text("extends = 'nominal.toml'\nname = 'mine'\n")
+    (Path("mine") / "case.toml").write_text("schema = 2\nscenario = 'scenario.toml'\nnodes_s = [45.0]\n")
+    quick = ["search.starts=1", "search.leaps=0", "between_nodes=ignore", "filter.structure=F2"]
+    loaded = read_case("mine/case.toml", quick)
+    written = judge_solution(loaded, solve(loaded)).design
+    assert (written.basis or {})["scenario"] == "mine/scenario.toml"
+    Path("made.toml").write_text(design_text(written))
+    assert designed_along("made.toml") == "mine/scenario.toml"
+    _, lines, _ = analysed(capsys, "made.toml")
+    assert lines[2].startswith("judged by the design's own basis: ")
+    (Path("mine") / "scenario.toml").rename("moved.toml")
+    assert simdesign.main(["analyse", "made.toml"]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        'simdesign: made.toml: basis.scenario = "mine/scenario.toml": no such scenario; '
+        "allowed: a built-in scenario or a file; name the scenario of this design with --scenario"
+    ]
+    assert analysed(capsys, "made.toml", "--scenario", "moved.toml")[1][2].startswith("conditions differ")
+
+
 def test_a_design_without_a_basis_says_so(capsys: Printed) -> None:
     text = builtin_files("design")["ksr3-default"].read_text()
     Path("mine.toml").write_text(text.partition("\n[basis]")[0])

@@ -124,6 +124,7 @@ def test_a_case_has_a_scenario_or_points(tmp_path: Path) -> None:
     for changes, said in (
         (["scenario=nominal"], 'scenario = "nominal": names both a flight and points, or neither'),
         (["robust={}"], "robust = {}: deviates from a vehicle, which points do not have"),
+        (["stage=[{robust={}}]"], "stage.0.robust = {}: deviates from a vehicle, which points do not have"),
     ):
         with pytest.raises(ScenarioError, match=said):
             read_case("greensite", changes)

@@ -122,14 +122,28 @@ def test_apogee_and_perigee_are_given_only_where_they_mean_something() -> None:
     assert "perigee" not in report(low, [], 1.0)
 
 
-def test_a_flight_without_thrust_has_an_outcome(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_flight_without_thrust_fails_on_the_pad(capsys: pytest.CaptureFixture[str]) -> None:
     """A flight without thrust ends with an outcome, although its warnings would divide by zero thrust."""
     words = ["nominal", "--set", "vehicle.stage.0.engine.thrust_factor=0", "--set", "run.duration_s=0.5"]
-    assert simrun.main([*words, "--out", "out", "--no-log"]) == 0
+    assert simrun.main([*words, "--out", "out", "--no-log"]) == 1
     said = capsys.readouterr().out
-    assert "the vehicle has not lifted off" in said.splitlines()[-1]
+    assert said.splitlines()[-1].startswith("FAILED: not lifted off at 0.500 s: the thrust is 0 N, the weight 5.9")
     assert "or it is never released" in said
     assert json.loads(Path("out/summary.json").read_text())["outcome"] == "duration"
+
+
+@pytest.mark.parametrize(
+    ("end_s", "changes", "said"),
+    [
+        (0.05, (), "PASSED: no requirements; the flight ends before liftoff"),
+        (2.0, ("holddown={release='time',release_s=5}",), "FAILED: not lifted off at 2.000 s: the release is at 5 s"),
+    ],
+)
+def test_a_vehicle_that_stays_on_the_pad_fails_once_its_thrust_has_built_up(
+    end_s: float, changes: tuple[str, ...], said: str
+) -> None:
+    flight = fly(load_scenario("nominal", [f"run.duration_s={end_s}", "requirement=", *changes]), log=False)
+    assert verdict_line(flight) == said
 
 
 # files

@@ -167,7 +167,7 @@ class Robust(Spread):
 class Basis(Section):
     """The plant, the loop, the operating points and the limits of a design."""
 
-    scenario: str = optional("name of the scenario whose flight gave the operating points", "")
+    scenario: str = optional("name or file of the scenario whose flight gave the operating points", "")
     points: str | None = optional(
         "file of published derivatives that gives the operating points, instead of a flight (docs/design.md)"
     )

@@ -27,6 +27,8 @@ from maxq.design.case.basis import (
     BetweenTimes,
     DesignLimits,
     Limits,
+    LoadLimits,
+    Robust,
     check_range,
     check_rising,
     limit_of,
@@ -202,6 +204,7 @@ class StageCase(Section):
     objective: ObjectiveSection | None = optional("see [objective]")
     limits: Limits | None = optional("see [limits]")
     reference: ReferencePhase | None = optional("see [reference]")
+    robust: Robust | None = optional("see [robust]; without a [robust] of the case, this stage alone is robust")
 
 
 class CaseHead(Section):
@@ -254,8 +257,11 @@ class Case(Basis, CaseHead):
         super()._check()
         if (self.points is None) == (self.scenario == ""):
             raise refuse("names both a flight and points, or neither", "one of scenario, points", "scenario")
-        if self.points is not None and self.robust is not None:
-            raise refuse("deviates from a vehicle, which points do not have", "scenario in place of points", "robust")
+        robust: list[tuple[Robust | None, tuple[str | int, ...]]] = [(self.robust, ("robust",))]
+        robust += [(stage.robust, ("stage", n, "robust")) for n, stage in enumerate(self.stage)]
+        for given, at in robust:
+            if self.points is not None and given is not None:
+                raise refuse("deviates from a vehicle, which points do not have", "scenario in place of points", at)
         if self.blend is not None and not self.blend[0] < self.blend[1]:
             raise refuse("is empty", "two numbers, the lower one first", "blend")
         objective = {"load": WIND_KEYS[0], "bending-moment": WIND_KEYS[2]}.get(self.objective.kind)
@@ -283,8 +289,9 @@ class Case(Basis, CaseHead):
     @property
     def bends(self) -> bool:
         """Return True if bending moments are limited or are the objective in any stage."""
-        limits = [stage.limits for stage in self.stage if stage.limits is not None]
+        limits: list[LoadLimits] = [stage.limits for stage in self.stage if stage.limits is not None]
         objectives = [self.objective, *(stage.objective for stage in self.stage if stage.objective is not None)]
+        limits += [stage.robust.limits for stage in self.stage if stage.robust is not None]
         asked = any(each.bending_moment for each in limits) or any(o.kind == "bending-moment" for o in objectives)
         return asked or super().bends
 
@@ -386,10 +393,8 @@ def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
         return LoadedCase(case, label, None, None if start is None else read_design(start), points=points)
     given = tree.get("scenario")
     flown = named_in_file(given, file) if isinstance(given, Text) else case.scenario
-    campaign = tree.get("robust", {}).get("campaign")
-    if case.robust is not None and isinstance(campaign, Text):
-        update = {"campaign": named_in_file(campaign, file)}
-        case = case.model_copy(update={"robust": case.robust.model_copy(update=update)})
+    stages = [_beside(own, given, file) for own, given in zip(case.stage, tree.get("stage", ()), strict=True)]
+    case = _beside(case, tree, file).model_copy(update={"stage": tuple(stages)})
     try:
         scenario = load_scenario(flown)
         if case.bends:  # checks that the vehicle has its masses along the body
@@ -402,7 +407,16 @@ def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
                 allowed = f"what 'simvehicle {layout} --out {layout}' writes here, first"
             raise source.error(("scenario",), error.problem, value=case.scenario, allowed=allowed) from None
         raise
-    return LoadedCase(case, label, scenario, _start_design(case, tree, scenario))
+    start = _start_design(case, tree, scenario)
+    return LoadedCase(case.model_copy(update={"scenario": flown}), label, scenario, start)
+
+
+def _beside(of: Model, tree: Any, file: Path | None) -> Model:
+    """Return a case or its stage with the path of the campaign of its [robust], which is in the folder of the file."""
+    robust, campaign = getattr(of, "robust", None), tree.get("robust", {}).get("campaign")
+    if robust is None or not isinstance(campaign, Text):
+        return of
+    return of.model_copy(update={"robust": robust.model_copy(update={"campaign": named_in_file(campaign, file)})})
 
 
 def _start_design(case: Case, tree: Any, scenario: LoadedScenario) -> Design | None:

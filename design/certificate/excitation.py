@@ -29,7 +29,8 @@ from maxq.design.model.state_space import ComplexArray
 from maxq.sim.scenario.schema_scenario import Injection
 
 MOST_LEVELS, MOST_TONES = 16, 64  # limits of the simulator: simultaneous signals, tones per signal
-DITHER_HZ = (0.525, 0.825)  # away from the slosh frequencies of the built-in vehicles, without resonances of the loop
+DITHER_HZ = (0.525, 0.825, 1.275, 1.925)  # candidates of the two dither tones, the preferred ones first
+DITHER_APART = 0.15  # least relative distance of a dither tone from slosh frequencies
 SHARE_OF_LIMITS = 0.85
 SHARE_OF_BURST = 0.4
 INCIDENCE_RAD = 0.004  # small relative to the angle of attack at which cross-flow lift adds a tenth to the slope
@@ -60,7 +61,7 @@ class LineBand:
     `dithered` marks lines that are too weak at the gyro for the converter, which carries its remainder over. A signal
     of less than one pulse per sample then vanishes or appears as whole pulses, depending on the remainder. A linear
     loop cannot predict its gain (tests/test_invariants_certificate.py). Slow tones of many pulses per sample are added,
-    so that the rounding becomes noise.
+    so that the rounding becomes noise. `tones_hz` are these tones before they are fitted to the period.
     """
 
     lines_hz: Array
@@ -68,6 +69,7 @@ class LineBand:
     settle_s: float
     periods: int
     dithered: bool = False
+    tones_hz: tuple[float, ...] = DITHER_HZ[:2]
 
     @property
     def duration_s(self) -> float:
@@ -83,7 +85,7 @@ class LineBand:
 
         They spread rounding errors equally over odd and even multiples.
         """
-        odd = 2.0 * np.round(0.5 * (np.array(DITHER_HZ) * self.period_s - 1.0)) + 1.0
+        odd = 2.0 * np.round(0.5 * (np.array(self.tones_hz) * self.period_s - 1.0)) + 1.0
         return np.asarray(odd / self.period_s) if self.dithered else np.zeros(0)
 
 
@@ -105,6 +107,27 @@ def below(bands: tuple[LineBand, ...], highest_hz: float) -> tuple[LineBand, ...
     """Return the bands with only those lines that are sufficiently below the Nyquist frequency `highest_hz`."""
     kept = (dataclasses.replace(band, lines_hz=band.lines_hz[band.lines_hz < 0.995 * highest_hz]) for band in bands)
     return tuple(band for band in kept if len(band.lines_hz))
+
+
+def dither_tones_hz(path: FixedPath) -> tuple[float, ...]:
+    """Return the first two dither tones (Hz) that are away from the slosh frequencies, or the two farthest from them.
+
+    A tone at a slosh frequency swings the liquid by tens of degrees. At such angles, the pendulum is nonlinear and
+    changes the response near lightly damped modes by up to 2 dB.
+    """
+    slosh_hz = [r.frequency_hz for r in path.resonances() if r.kind == "slosh"]
+
+    def apart(hz: float) -> float:
+        return min((abs(math.log(hz / f)) for f in slosh_hz), default=math.inf)
+
+    free = [hz for hz in DITHER_HZ if apart(hz) >= DITHER_APART]
+    return tuple(free[:2]) if len(free) > 1 else tuple(sorted(sorted(DITHER_HZ, key=apart)[-2:]))
+
+
+def away_from_slosh(bands: tuple[LineBand, ...], path: FixedPath) -> tuple[LineBand, ...]:
+    """Return the bands with dither tones for the slosh frequencies of a path."""
+    tones_hz = dither_tones_hz(path)
+    return tuple(dataclasses.replace(band, tones_hz=tones_hz) for band in bands)
 
 
 @dataclass(frozen=True)

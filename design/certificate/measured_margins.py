@@ -268,9 +268,10 @@ def measured_growth(
     )
     step_rad = _step_rad(held)
     if test.frequency_hz > DITHER_ABOVE_HZ:
-        signals += excitation.injections(excitation.dither(held, loop, np.array(excitation.DITHER_HZ)), held.plane)
+        tones = excitation.dither(held, loop, np.array(excitation.dither_tones_hz(loop.fixed)))
+        signals += excitation.injections(tones, held.plane)
     elif test.frequency_hz < FINE_BELOW_HZ and amplitude * test.growth < FEW_STEPS * step_rad:
-        signals += excitation.injections(fine_dither(held), held.plane)
+        signals += excitation.injections(fine_dither(held, excitation.dither_tones_hz(loop.fixed)), held.plane)
     run, values = held.fly(test.duration_s, signals, change)
     response = values[:, run.table.index(f"filtered_{held.plane}_deg")]
     first = round((test.burst_s + test.wait_s) / held.sample_s)
@@ -286,16 +287,18 @@ def measured_growth(
     return growth_rate(response[first:], held.sample_s, test.frequency_hz, test.window_s, limit, least)
 
 
-def fine_dither(held: HeldFlight) -> excitation.Groups:
+def fine_dither(held: HeldFlight, tones_hz: tuple[float, ...] = excitation.DITHER_HZ[:2]) -> excitation.Groups:
     """Return two tones that start without an impulse, and with which the gain of rounding is close to 1.
+
+    `tones_hz` are their frequencies, the lower one first.
 
     A tone A sin(w t) that starts at rest gives the slow motion an angular velocity of A / w, the mean of its integral.
     The tones have opposite signs and amplitudes proportional to their frequencies, so that these impulses cancel. With
     two equal tones of 50 steps, petrel at 125.6 s moved by nine times the goal of the burst, and cross-flow lift then
     turned it over.
     """
-    low, high = excitation.DITHER_HZ
-    rooms = (FINE_SHARE * min(excitation.linear_room(held, hz)) * low / hz for hz in excitation.DITHER_HZ)
+    low, high = tones_hz
+    rooms = (FINE_SHARE * min(excitation.linear_room(held, hz)) * low / hz for hz in tones_hz)
     weaker = min(FINE_STEPS * _step_rad(held), *rooms)
     return [(weaker, np.array([low])), (-weaker * high / low, np.array([high]))]
 

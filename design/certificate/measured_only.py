@@ -23,7 +23,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.certificate import measured_margins
-from maxq.design.certificate.excitation import LineBand, burst_rad, excitation_level, gimbal_injection
+from maxq.design.certificate.excitation import LineBand, away_from_slosh, burst_rad, excitation_level, gimbal_injection
 from maxq.design.certificate.held_flight import (
     CodeDiffers,
     CodeLost,
@@ -184,7 +184,7 @@ def measured_loop(held: HeldFlight, path: FixedPath, bands: tuple[LineBand, ...]
     if not bands:
         return np.zeros(0), np.zeros(0, np.complex128), np.zeros(0)
     unknown = np.zeros(0, np.complex128)
-    loop = _Loop(path, np.zeros(0), unknown)
+    loop, bands = _Loop(path, np.zeros(0), unknown), away_from_slosh(bands, path)
     for scale in (_PROBE, 1.0):
         seen = [measure(held, b, excitation_level(held, loop, b, scale), unknown) for b in bands]
         lines, response, error = (

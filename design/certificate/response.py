@@ -13,7 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.certificate.excitation import ExcitationLevel, LineBand, band, excitation_level, injections
+from maxq.design.certificate.excitation import (
+    ExcitationLevel,
+    LineBand,
+    away_from_slosh,
+    band,
+    excitation_level,
+    injections,
+)
 from maxq.design.certificate.held_flight import HeldFlight
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
@@ -212,7 +219,7 @@ def measured_response(
     """Measure and assess all bands, with and without rounding. `at_half` also measures them at half the level."""
     if not bands:
         return no_response()
-    poles = loop.closed_poles()
+    bands, poles = away_from_slosh(bands, loop.fixed), loop.closed_poles()
     seen = [measure(held, b, excitation_level(held, loop, b), poles) for b in bands]
     lines = np.concatenate([s.lines_hz for s in seen])
     clean = np.full(len(lines), complex(np.nan, np.nan))

@@ -86,7 +86,7 @@ def make_design(loaded: LoadedCase, *solutions: Solution, missed: Sequence[int] 
             vehicle=points.name if points is not None else loaded.scenario.vehicle.name,
             law=solution.law,
             roll=rolls.roll if rolls else None,
-            basis=solution.case.basis("" if base is None else base.name, at_s).as_table(),
+            basis=solution.case.basis("" if base is None else case.scenario or base.name, at_s).as_table(),
         )
         return designed.model_copy(update={"roll_gimbal": rolls.roll_gimbal if rolls else None})
 

@@ -143,12 +143,13 @@ class Flight(Tabular):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Return the remarks of a verdict: a missing liftoff, a tumble, and departures from the limits of the model."""
+        """Return the remarks of a verdict: an end before liftoff, a tumble, departures from the limits of the model."""
         tumble_s, burnout_s = self.event_s(EVENT_NAMES[TUMBLE]), self.event_s(EVENT_NAMES[BURNOUT])
         since = f", {tumble_s - burnout_s:.3f} s after burnout" if tumble_s >= burnout_s else ""
         said = []
-        if self.scenario.scenario.held and math.isnan(self.event_s(EVENT_NAMES[LIFTOFF])):
-            said.append("the vehicle has not lifted off")
+        on_pad = self.scenario.scenario.held and math.isnan(self.event_s(EVENT_NAMES[LIFTOFF]))
+        if on_pad and not self.failures:
+            said.append("the flight ends before liftoff")
         if not math.isnan(tumble_s):
             said.append(f"the vehicle tumbles from {tumble_s:.3f} s on{since}")
         return (*said, *(f"beyond the model: {what}" for what in self.beyond_model))

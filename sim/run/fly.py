@@ -62,9 +62,10 @@ from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_launch import Cutoff
 from maxq.sim.scenario.schema_scenario import MOST_HALVINGS, Scenario
+from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.sensor.receivers import pack_receivers
 from maxq.sim.vehicle.state import CAUSES, R_I, V_I, Sizes, state_names
-from maxq.sim.world.earth import Earth
+from maxq.sim.world.earth import Earth, STANDARD_GRAVITY_mps2
 
 if TYPE_CHECKING:
     from maxq.sim.run.flight_software import FlightSoftware
@@ -73,6 +74,7 @@ if TYPE_CHECKING:
 _SEGMENT_NS = 1_000_000_000  # a log chunk
 _UNSEEN_NS = 60_000_000_000  # a tenth of a second of computing
 _MOST_STEPS, _MOST_ROWS = 20_000, 20_000  # limits of a segment: tens of milliseconds of computing, 10 MB of rows
+_BUILT_UP = 0.9  # share of the largest thrust
 _FEW = 1_000  # steps or rows; a segment with fewer of both may be longer
 
 IGNITION_NAME, FAULT_NAME, FAULT_END_NAME = "ignition", "fault", "fault_end"
@@ -425,6 +427,7 @@ class FlightRun:
                 *(f"{e.name.replace('_', ' ')} at {e.time_s:.3f} s: {e.detail}" for e in failed),
                 *([inexact] if inexact and not failed else []),
                 *_above_the_wind(scenario, metrics["max_altitude_m"]),
+                *(self._on_the_pad(final) if outcome != "interrupted" and not failed else ()),
                 *self._missed_orbit(),
             ),
             inexact=bool(inexact and not failed),
@@ -470,6 +473,22 @@ class FlightRun:
         if end is None:
             return dict.fromkeys(CutoffMetrics._fields, math.nan)
         return cutoff_metrics(earth, end, tuple(burnout.r_I_m.tolist()), tuple(burnout.v_I_mps.tolist()))._asdict()
+
+    def _on_the_pad(self, final: dict[str, float]) -> tuple[str, ...]:
+        """Return a failure with its reason if a vehicle in hold-down has not lifted off after its thrust has built up.
+
+        `final` contains the channels at the end.
+        """
+        scenario, pad = self.loaded.scenario, self.loaded.scenario.holddown
+        built_up_s = _built_up_s(scenario.vehicle.stage[0])
+        if not scenario.held or self.clock.event_ns[LIFTOFF] >= 0 or self.now_s < built_up_s:
+            return ()
+        if pad.release == "time":
+            why = f"the release is at {pad.release_s:g} s"
+        else:
+            weight_N = final["mass_kg"] * STANDARD_GRAVITY_mps2
+            why = f"the thrust is {final['thrust_N']:.4g} N, the weight {weight_N:.4g} N"
+        return (f"not lifted off at {self.now_s:.3f} s: {why}",)
 
     def _missed_orbit(self) -> tuple[str, ...]:
         """Return a failure if the last engine burned out before its cutoff by the guidance."""
@@ -623,6 +642,17 @@ def load_stations(scenario: Scenario) -> tuple[str, ...]:
 
 def _logs_waves(scenario: Scenario, sizes: Sizes) -> bool:
     return sizes.pendulums > 0 and any(tank.shows_waves for stage in scenario.vehicle.stage for tank in stage.tank)
+
+
+def _built_up_s(stage: Stage) -> float:
+    """Return the time on the stage clock by which all engines have reached _BUILT_UP of their largest thrust, s."""
+    out = 0.0
+    for body in stage.bodies:
+        for engine in body.own_engines:
+            thrust_N = engine.thrust_factor * engine.table["thrust_vacuum_N"]
+            row = int(np.argmax(thrust_N >= _BUILT_UP * thrust_N.max()))
+            out = max(out, body.ignition_s + float(engine.table["time_s"][row]) / engine.burn_factor)
+    return out
 
 
 def _above_the_wind(scenario: Scenario, highest_m: float) -> tuple[str, ...]:

@@ -249,13 +249,21 @@ _OPTIONS = {"kind": "loop", "axis": "plane", "errata": "errata", "plant": "plant
 
 
 def designed_along(design: str) -> str:
-    """Return the built-in scenario that the basis of a design names, or "nominal" if it names none."""
+    """Return the scenario that the basis of a design names: a built-in one or a file. It is "nominal" without a name.
+
+    Raises ScenarioError for another name, and for a file that does not exist in the working folder.
+    """
     source, reading = Source(COMMAND_LINE, (Path.cwd(), scenarios_folder())), Reading()
     path = find(Text.of(design_path(design), source))
     tree = {} if path is None else reading.document(path, design, "design")
     found = [each.get("basis") for each in (tree, *tree.get("stage", ())) if isinstance(each, dict)]
-    names = [basis.get("scenario") for basis in found if isinstance(basis, dict)]
-    return next((str(name) for name in names if name in builtin_files("scenario")), "nominal")
+    names = [str(basis["scenario"]) for basis in found if isinstance(basis, dict) and basis.get("scenario")]
+    if not names:
+        return "nominal"
+    if names[0] not in builtin_files("scenario") and not Path(names[0]).is_file():
+        allowed = "a built-in scenario or a file; name the scenario of this design with --scenario"
+        raise ScenarioError(design, "no such scenario", "basis.scenario", value=names[0], allowed=allowed)
+    return names[0]
 
 
 def bases_of(scenario: LoadedScenario, design: Design, label: str) -> dict[int, Basis]:
@@ -336,7 +344,8 @@ def judged_by_text(
     ]
     if (stated and points != stated) or order.times_s or "every_s" in order.given:
         others.append(f"{count}, designed for {stated or 'those of its flight'}")
-    if first.scenario not in ("", scenario.name):
+    same = Path(order.scenario).resolve() == Path(first.scenario).resolve()
+    if first.scenario not in ("", scenario.name) and not same:
         others.append(f"along {scenario.name}, designed along {first.scenario}")
     unstated = [stage_name(scenario.vehicle, n) for n in range(len(scenario.vehicle.stage)) if n not in bases]
     others += [f"{', '.join(unstated)} without limits"] if unstated else []

@@ -33,13 +33,14 @@ from maxq.tools.vehicle.layout import LayoutEngines, LayoutNozzles, LayoutTank, 
 from maxq.tools.vehicle.masses import Stack, engine_inertia
 from maxq.tools.vehicle.trajectory import TrajectoryPoint
 
-SUITE = "launcher"
+SUITE, CAMPAIGN = "launcher", "campaign.toml"
 MASS_ROWS, SHAPE_STATIONS = 41, 41
 DIGITS = ".12g"  # format of the numbers in tables, and of those in vehicle.toml
 ROOM_DB, ROOM_DEG = 0.5, 2.0  # margins of a case to the limits of its suite, for other operating points and rounding
 ROLL_SHARE = 0.25  # share of the gimbal angle limit available to roll
 FASTER = 0.1  # share of its burn by which a part's tables continue if the next part continues the burn
 FAR, LOW_PASS = 100.0, 0.15  # mode 1 / rigid body, above which a low pass is used; poles of the low pass / mode 1
+QUIET, HUSH = 30.0, 0.1  # of this low pass in a case: highest poles / rigid body, and largest gain at infinity
 REVOLUTION_s = 6500.0  # period of a low orbit
 SHOWN = 0.4  # share of the sample rate up to which a mode has a notch
 CsvFile = tuple[str, Sequence[tuple[Any, ...]]]  # head and rows of a CSV file
@@ -64,7 +65,7 @@ def write(built: Built, folder: Path) -> list[Path]:
         "vehicle/vehicle.toml": _rounded(vehicle),
         "design.toml": _design(built),
         "scenario.toml": _scenario(built),
-        "campaign.toml": campaign_of(built),
+        CAMPAIGN: campaign_of(built),
         "case.toml": _case(built),
         "suite.toml": _suite(built),
     }
@@ -461,6 +462,13 @@ def _boosters(built: Built, n: int, tables: Tables) -> list[dict[str, Any]]:
     return out
 
 
+def _far(built: Built, n: int) -> bool:
+    """Return True if mode 1 of stack `n` is far above the rigid body."""
+    modes = built.modes[n][1]
+    first = float(np.mean([m[0].frequency_hz for m in modes])) if modes and modes[0] else 0.0
+    return first > FAR * max(built.rigid_hz(p) for p in burning(built, n))
+
+
 def _filter(built: Built, n: int) -> dict[str, Any]:
     """Return a first filter of stack `n`: wide notches at its first two modes that the sampling resolves, with lower
     poles.
@@ -471,7 +479,7 @@ def _filter(built: Built, n: int) -> dict[str, Any]:
     if not modes or not modes[0]:
         return {"structure": "none"}
     means = [float(np.mean([m[k].frequency_hz for m in modes])) for k in range(min(2, len(modes[0])))]
-    far = means[0] > FAR * max(built.rigid_hz(p) for p in burning(built, n))
+    far = _far(built, n)
     means, poles = (means[:1], LOW_PASS) if far else (means, 0.8)
     sections = [{"zero_hz": f, "zero_zeta": 0.4, "pole_hz": poles * f, "pole_zeta": 0.8} for f in means if f < most_hz]
     if not sections:
@@ -612,7 +620,18 @@ def _case(built: Built) -> dict[str, Any]:
         "modes_from_3_db": peak_db,
     }
     orders = ["F4" if len(_filter(built, n).get("quadratic", ())) > 1 else "F2" for n in range(len(built.stacks))]
-    differing = [{"filter": {"structure": order}} if order != orders[0] else {} for order in orders]
+    differing: list[dict[str, Any]] = [
+        {"filter": {"structure": order}} if order != orders[0] else {} for order in orders
+    ]
+    for n, (own, stack) in enumerate(zip(differing, built.stacks, strict=True)):
+        if stack.stage.robust:
+            own["robust"] = {"campaign": CAMPAIGN}
+        if _far(built, n):  # a low pass of gyro noise, which would otherwise use the rate of the servos
+            most_hz = round(QUIET * max(built.rigid_hz(p) for p in burning(built, n)), 2)
+            own |= {
+                "filter": {"structure": orders[n], "bounds": {"pole_hz": [min(low, most_hz), most_hz]}},
+                "limits": {"filter_gain_at_infinity": HUSH},
+            }
     return {
         "schema": 2,
         "description": f"{built.layout.name}, every stage: largest least |1 + L|",
@@ -627,7 +646,7 @@ def _case(built: Built) -> dict[str, Any]:
 
 def _suite(built: Built) -> dict[str, Any]:
     campaign = {
-        "file": "campaign.toml",
+        "file": CAMPAIGN,
         "limits": "dispersed",
         "success": 0.95,
         "why": "demonstrated by a hundred flights without failure; 99.73 % needs more runs",

@@ -322,6 +322,11 @@ class LayoutStage(Between):
     )
     separation_after_s: values.Seconds = optional("time from burnout to separation, s", 1.0)
     ignition_after_s: values.Seconds = optional("time from the preceding separation to ignition, s", 2.0)
+    robust: bool = optional(
+        "true: the case also designs this stage for the worst vehicles of the campaign within two sigma of each "
+        "deviation ([robust]), which takes several times as long; for a stage with notches at uncertain frequencies",
+        False,
+    )
 
     @property
     def usable_kg(self) -> float:
