@@ -93,7 +93,7 @@ def test_the_law_behind_the_socket_has_the_bits_of_the_law_in_the_flight_code(
         "        state = self.state(inputs)\n"
         "        flat = state | state['imu'] | {'timestamp': [state['timestamp']]}\n"
         "        self.pwm = self.law(flat)\n"
-        "        return self.commands()\n"
+        "        return self.commands() | {'commanded_q_BR': inputs.q_BR}\n"
     )
     own = flown(f"vehicle.computer.python={tmp_path}/own.py:Own", settings=f"port={free_port()} {SETTINGS}")
     assert own.state_hash == flight_and_peer[0].state_hash

@@ -9,10 +9,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import re
 import shutil
 import subprocess
+import tomllib
 from pathlib import Path
 
 import control
@@ -24,10 +26,15 @@ from scipy.io import loadmat
 
 import maxq
 from maxq import Flight, margins
+from maxq.control.kernel.records import blank
+from maxq.control.roll import RollState, silence_roll, update_roll
+from maxq.control.structures import LAWS
 from maxq.sim.campaign.runs import fly_rows
+from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simdesign
+from maxq.tools.design.export import _STAGE_FIELDS, export_c
 
 POWERED = ["run.duration_s=59", "requirement="]
 COMMANDS = ("gimbal_pitch_command_deg", "gimbal_yaw_command_deg")
@@ -121,6 +128,8 @@ table = [
     {time_s=50.0, k_p=0.7, k_d_s=0.37, k_i_ps=0.2, k_zd_radspm=0.002, k_z_radpm=2e-4},
 ]
 """
+DRIFT_ALONE = DRIFT.replace("with an integral", "alone").replace("pid-drift", "drift").replace(" k_i_ps=0.1,", "")
+DRIFT_ALONE = DRIFT_ALONE.replace(" k_i_ps=0.2,", "")
 LOOPS = """
 [loop_filters.rate]
 structure = "F2"
@@ -183,8 +192,13 @@ def test_the_c_sources_give_the_commands_of_the_flown_law(tmp_path: Path, name: 
 @pytest.mark.slow  # four flights
 @pytest.mark.parametrize(
     ("law", "share"),
-    [(RELIEF, "relief_pitch_deg"), (INCIDENCE, "relief_pitch_deg"), (DRIFT, "drift_share_pitch_deg")],
-    ids=["acceleration", "incidence", "drift"],
+    [
+        (RELIEF, "relief_pitch_deg"),
+        (INCIDENCE, "relief_pitch_deg"),
+        (DRIFT, "drift_share_pitch_deg"),
+        (DRIFT_ALONE, "drift_share_pitch_deg"),
+    ],
+    ids=["acceleration", "incidence", "drift with an integral", "drift"],
 )
 def test_laws_with_an_accelerometer_and_blended_gyros_give_the_same_bits(tmp_path: Path, law: str, share: str) -> None:
     design = tmp_path / "d.toml"
@@ -195,6 +209,83 @@ def test_laws_with_an_accelerometer_and_blended_gyros_give_the_same_bits(tmp_pat
     own = fly(load_scenario("load-relief", [*changes, *flies(library=library)]))
     assert_same_commands(own, built_in)
     assert np.abs(built_in[share]).max() > 0.05
+
+
+def test_every_law_that_flies_is_exported_in_a_test() -> None:
+    texts = (ODD, BARE, PID, OVER, RELIEF, INCIDENCE, DRIFT, DRIFT_ALONE)
+    assert {tomllib.loads(text).get("law", "pd") for text in texts} == set(LAWS)
+
+
+class LawInputs(ctypes.Structure):
+    """The struct law_inputs of flight_law.h."""
+
+    _fields_ = [
+        *((name, ctypes.c_double) for name in ("time_s", "speed_mps", "mass_kg", "dynamic_pressure_Pa")),
+        *((name, ctypes.c_int32) for name in ("stage", "coasting")),
+        ("counts", ctypes.c_int64 * 3),
+        *(
+            (name, ctypes.c_double * 3)
+            for name in ("delta_angle_rad", "commanded_angle_rad", "commanded_rate_radps", "attitude_error_rad")
+        ),
+        ("further_rate_radps", ctypes.c_double * 12),
+        ("delta_velocity_mps", ctypes.c_double * 3),
+    ]
+
+
+class LawOutputs(ctypes.Structure):
+    """The struct law_outputs of flight_law.h."""
+
+    _fields_ = [
+        *((name, ctypes.c_double * 2) for name in ("requested_rad", "command_rad")),
+        ("converter", ctypes.c_int64 * 2),
+        ("roll_gimbal_rad", ctypes.c_double),
+        ("roll_thruster", ctypes.c_int32),
+        ("turn_thruster", ctypes.c_int32 * 2),
+    ]
+
+
+@needs_compiler
+def test_thrusters_in_pitch_and_yaw_fire_in_a_coast_as_the_built_in_ones(tmp_path: Path) -> None:
+    """Compare with the kernel of the flight computer over random rates in coasts and burns (`fire_in_coast`)."""
+    loaded = load_scenario("nominal", ["vehicle.computer.count_rad=0.0"])
+    export_c(loaded, tmp_path)
+    tables = tmp_path / "flight_law_tables.c"
+    head, rows = tables.read_text().split("const law_stage law_stages[LAW_STAGES] = {\n    {\n")
+    lines = rows.splitlines()
+    at = next(k for k, field in enumerate(_STAGE_FIELDS) if "turn_thrusters" in field)
+    assert lines[at].strip() == "0,"
+    lines[at] = "1,"
+    tables.write_text(head + "const law_stage law_stages[LAW_STAGES] = {\n    {\n" + "\n".join(lines) + "\n")
+    header = tmp_path / "flight_law_tables.h"
+    header.write_text(header.read_text().replace("LAW_TURN_THRUSTERS 0", "LAW_TURN_THRUSTERS 1"))
+    words = [str(COMPILER), *STRICT, "-shared", "-fPIC", "-o", str(tmp_path / "law.so")]
+    subprocess.run([*words, str(tables), str(tmp_path / "flight_law.c")], check=True)
+    law = ctypes.CDLL(str(tmp_path / "law.so"))
+    state, out, given = ctypes.create_string_buffer(1 << 14), LawOutputs(), LawInputs(stage=0)
+    law.law_start(state)
+    computer = pack_flight(loaded.scenario).parameters[0].computer
+    limit_rad = computer.angle_error_limit_rad
+    fired = [blank(RollState)[0] for _ in range(2)]
+    angle, seen = np.zeros(3), set()
+    steps = np.random.default_rng(7).normal(scale=0.01, size=(4000, 3))
+    for n, step in enumerate(steps):
+        given.coasting = int(n % 1000 < 700)
+        rates = 0.1 * np.cos(2.0 * np.pi * n / np.array([300.0, 400.0, 500.0])) + step
+        given.delta_angle_rad[:] = (0.01 * rates).tolist()
+        given.commanded_rate_radps[:] = [0.0, 1e-3, -2e-3]
+        angle = angle + 0.01 * rates
+        law.law_step(state, ctypes.byref(given), ctypes.byref(out))
+        for k in range(2):
+            if given.coasting:
+                slip_radps = given.delta_angle_rad[1 + k] / 0.01 - given.commanded_rate_radps[1 + k]
+                error_rad = min(max(angle[1 + k], -limit_rad), limit_rad)
+                update_roll(computer.roll, fired[k], error_rad, slip_radps)
+            else:
+                silence_roll(fired[k])
+            assert out.turn_thruster[k] == fired[k].demand
+            seen.add((k, fired[k].demand))
+    assert len(seen) == 6
+    assert min(one.firings for one in fired) > 5
 
 
 def _unquantised(folder: Path) -> str:

@@ -149,7 +149,7 @@ def test_a_computer_that_does_not_answer_ends_the_flight() -> None:
             thread.join(2.0)
     silence = "no answer within 0.3 s; its process may be stopped, or too slow"
     assert loaded["silent"] == ("flight_software", silence, 0.03)
-    assert loaded["lost"] == ("flight_software", silence, 0.03)
+    assert loaded["lost"] == ("flight_software", f"{silence}, or a datagram was lost", 0.03)
     assert loaded["garbled"][0] == "flight_software"
     assert loaded["garbled"][1] == "an answer that does not begin with MAXQ"
 

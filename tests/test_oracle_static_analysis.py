@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -39,12 +40,34 @@ def test_the_exported_law_deviates_from_misra_only_as_listed(tmp_path: Path) -> 
     assert {"arrayIndexOutOfBounds", "15.1"} <= added
 
 
-def found(folder: Path) -> set[tuple[str, str]]:
+@pytest.mark.long
+@pytest.mark.skipif(CPPCHECK is None, reason="cppcheck is not installed")
+@pytest.mark.parametrize("law", [{"LOAD_RELIEF": 1}, {"LOAD_RELIEF": 2}, {"INTEGRAL": 1}, {"INTEGRAL": 1, "DRIFT": 1}])
+def test_laws_with_all_their_options_deviate_only_as_listed(tmp_path: Path, law: dict[str, int]) -> None:
+    """Switch on all parts that a law can have: filters of the loops, filters that change, adaptation, further gyros."""
+    export_c(load_scenario("nominal", []), tmp_path)
+    header = tmp_path / "flight_law_tables.h"
+    text = header.read_text()
+    switches = dict.fromkeys(("LOOP_FILTERS", "MOVING_FILTER", "ADAPTIVE", "TURN_THRUSTERS"), 1)
+    for name, value in (switches | {"FURTHER_GYROS": 2, "GAINS": 5, "FILTER_PARAMETERS": 4} | law).items():
+        text, count = re.subn(rf"(#define LAW_{name}) \d+", rf"\1 {value}", text)
+        assert count == 1
+    header.write_text(text)
+    deviations = {pair for pair in found(tmp_path, "flight_law.c") if pair[0] == "flight_law.c"}
+    assert deviations <= set(DEVIATIONS)
+
+
+def found(folder: Path, *sources: str) -> set[tuple[str, str]]:
     """Return all findings as pairs of the file's name and the rule of MISRA, or the name of another finding."""
     words = ["--enable=warning,style,performance,portability", "--addon=misra", f"--addon-python={sys.executable}"]
     words += ["--std=c99", "--quiet", "--template={severity}|{file}|{id}"]
     done = subprocess.run(
-        [str(CPPCHECK), *words, *SOURCES], cwd=folder, capture_output=True, text=True, check=True, timeout=500
+        [str(CPPCHECK), *words, *(sources or SOURCES)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=500,
     )
     lines = (line.split("|") for line in done.stderr.splitlines() if line.count("|") == 2)
     return {(Path(file).name, rule.removeprefix(MISRA)) for kind, file, rule in lines if kind != "information"}

@@ -296,29 +296,37 @@ static law_real converted(const law_stage *of, law_real requested_rad, int64_t *
     return command_rad;
 }
 
-/* Switching line with dead band, hysteresis and a shortest firing; a positive s demands a negative torque. */
-static int32_t fire(const law_stage *of, law_state *state, law_real error_rad, law_real rate_radps)
+/* Switching line with dead band, hysteresis and a shortest firing; a positive s demands a negative torque. Axis 0 is roll,
+ * 1 and 2 are pitch and yaw in a coast. */
+static int32_t fire(const law_stage *of, law_state *state, int32_t axis, law_real error_rad, law_real rate_radps)
 {
     const law_real s = error_rad + of->roll_k_rate_s * rate_radps;
     const law_real on_rad = of->roll_dead_band_rad;
     const law_real off_rad = on_rad - of->roll_hysteresis_rad;
+    const int32_t before = state->thruster[axis];
     int32_t demand = 0;
-    if ((state->roll_thruster != 0) && (state->ticks_on < of->roll_shortest_ticks)) {
-        demand = state->roll_thruster;
-    } else if ((s > on_rad) || ((state->roll_thruster < 0) && (s > off_rad))) {
+    if ((before != 0) && (state->ticks_on[axis] < of->roll_shortest_ticks)) {
+        demand = before;
+    } else if ((s > on_rad) || ((before < 0) && (s > off_rad))) {
         demand = -1;
-    } else if ((s < -on_rad) || ((state->roll_thruster > 0) && (s < -off_rad))) {
+    } else if ((s < -on_rad) || ((before > 0) && (s < -off_rad))) {
         demand = 1;
     }
     if (demand == 0) {
-        state->ticks_on = 0;
-    } else if (demand == state->roll_thruster) {
-        state->ticks_on += 1;
+        state->ticks_on[axis] = 0;
+    } else if (demand == before) {
+        state->ticks_on[axis] += 1;
     } else {
-        state->ticks_on = 1;
+        state->ticks_on[axis] = 1;
     }
-    state->roll_thruster = demand;
+    state->thruster[axis] = demand;
     return demand;
+}
+
+static void silence(law_state *state, int32_t axis)
+{
+    state->thruster[axis] = 0;
+    state->ticks_on[axis] = 0;
 }
 
 #if LAW_ADAPTIVE == 1
@@ -405,8 +413,7 @@ static const law_stage *flying(law_state *state, int32_t stage)
                 settle_moved(of, state, axis, state->law_rad[axis]);
 #endif
             }
-            state->roll_thruster = 0;
-            state->ticks_on = 0;
+            silence(state, 0);
 #if LAW_ADAPTIVE == 1
             start_adapting(of, state);
 #endif
@@ -423,6 +430,7 @@ void law_start(law_state *state)
     for (axis = 0; axis < 3; ++axis) {
         state->total_counts[axis] = 0;
         state->angle_rad[axis] = REAL(0.0);
+        silence(state, axis);
     }
     for (axis = 0; axis < 2; ++axis) {
         state->integral_rad[axis] = REAL(0.0);
@@ -452,8 +460,6 @@ void law_start(law_state *state)
     state->stage = 0;
     state->fading = 0;
     state->old_stage = 0;
-    state->roll_thruster = 0;
-    state->ticks_on = 0;
 #if LAW_ADAPTIVE == 1
     start_adapting(&law_stages[0], state);
 #endif
@@ -583,6 +589,18 @@ void law_step(law_state *state, const law_inputs *in, law_outputs *out)
         -of->roll_gimbal_k_p * error_rad[0] - of->roll_gimbal_k_d_s * rate_radps[0], of->roll_gimbal_limit_rad);
     out->roll_thruster = 0;
     if (of->roll_thrusters != 0) {
-        out->roll_thruster = fire(of, state, error_rad[0], rate_radps[0]);
+        out->roll_thruster = fire(of, state, 0, error_rad[0], rate_radps[0]);
     }
+    out->turn_thruster[0] = 0;
+    out->turn_thruster[1] = 0;
+#if LAW_TURN_THRUSTERS == 1
+    for (axis = 0; axis < 2; ++axis) {
+        if ((of->turn_thrusters != 0) && (in->coasting != 0)) {
+            const law_real slip_radps = rate_radps[axis + 1] - in->commanded_rate_radps[axis + 1];
+            out->turn_thruster[axis] = fire(of, state, axis + 1, error_rad[axis + 1], slip_radps);
+        } else {
+            silence(state, axis + 1);
+        }
+    }
+#endif
 }

@@ -1,8 +1,9 @@
 /* Attitude control law of a flight computer: gyro pulses and commanded angles to gimbal and thruster commands.
  *
- * C99 without library, allocation or global variables. Triples are per body axis (roll, pitch, yaw), pairs per gimbal axis
- * (pitch, yaw). The numbers of the design are in flight_law_tables.h, stage by stage. With LAW_FLOAT all arithmetic but the sum of the
- * pulses is in single precision.
+ * C99 without library, allocation, recursion or global variables. Every loop ends at a constant of the tables, or halves
+ * the breakpoints of a table, so that the time of a step is bounded; the first sample of a stage takes longer. Triples are
+ * per body axis (roll, pitch, yaw), pairs per gimbal axis (pitch, yaw). The numbers of the design are in
+ * flight_law_tables.h, stage by stage. With LAW_FLOAT all arithmetic but the sum of the pulses is in single precision.
  */
 #ifndef FLIGHT_LAW_H
 #define FLIGHT_LAW_H
@@ -23,10 +24,11 @@ typedef struct {
     law_real mass_kg;
     law_real dynamic_pressure_Pa;    /* of speed_mps in the air of this altitude */
     int32_t stage;                   /* that flies, from 0 */
+    int32_t coasting;                /* 1: no engine burns; where LAW_TURN_THRUSTERS is 1 */
     int64_t counts[3];               /* gyro pulses of the sample */
     law_real delta_angle_rad[3];     /* of the sample; used instead of pulses where LAW_COUNT_RAD is 0 */
     law_real commanded_angle_rad[3]; /* sum of the commanded rates since the start; where LAW_RATE_INTEGRAL is 1 */
-    law_real commanded_rate_radps[3];/* over the sample; where LAW_ADAPTIVE is 1 */
+    law_real commanded_rate_radps[3];/* over the sample; where LAW_ADAPTIVE or LAW_TURN_THRUSTERS is 1 */
     law_real attitude_error_rad[3];  /* from the navigation, commanded to measured; where LAW_RATE_INTEGRAL is 0 */
     law_real further_rate_radps[4][3];/* rate gyros beyond the first, mean over the sample; LAW_FURTHER_GYROS of them */
     law_real delta_velocity_mps[3];  /* accelerometer, of the sample; where LAW_LOAD_RELIEF or LAW_DRIFT is not 0 */
@@ -38,6 +40,7 @@ typedef struct {
     int64_t converter[2];      /* its steps; 0 where LAW_DAC_STEP_RAD is 0 */
     law_real roll_gimbal_rad;  /* command in roll to several groups of engines */
     int32_t roll_thruster;     /* -1, 0, 1: torque about x */
+    int32_t turn_thruster[2];  /* and in pitch and yaw, in a coast */
 } law_outputs;
 
 typedef struct {
@@ -66,8 +69,8 @@ typedef struct {
     int32_t old_stage;         /* whose these are */
     law_real old_filter[4][2][LAW_MOST_SECTIONS][2];  /* of the loops, and the bending filter */
     int32_t stage;
-    int32_t roll_thruster;
-    int32_t ticks_on; /* samples of the present firing */
+    int32_t thruster[3]; /* demand in roll, pitch and yaw */
+    int32_t ticks_on[3]; /* samples of the present firing */
 } law_state;
 
 /* Everything at rest. */

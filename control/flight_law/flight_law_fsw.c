@@ -35,6 +35,7 @@ int32_t maxq_fsw_step(void *self, const maxq_fsw_inputs *in, maxq_fsw_outputs *o
     given.mass_kg = (law_real)in->mass_kg;
     given.dynamic_pressure_Pa = (law_real)in->dynamic_pressure_Pa;
     given.stage = (int32_t)in->stage;
+    given.coasting = 0; /* the simulator fires the thrusters in pitch and yaw, with the burns of its guidance */
     for (i = 0; i < 3; ++i) {
         given.counts[i] = in->counts[i];
         given.delta_angle_rad[i] = (law_real)in->delta_angle_rad[i];

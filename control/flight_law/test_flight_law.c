@@ -33,6 +33,7 @@ int main(void)
         in.mass_kg = (law_real)test_navigation[n][1];
         in.dynamic_pressure_Pa = (law_real)test_navigation[n][2];
         in.stage = 0;
+        in.coasting = 0;
         for (i = 0; i < 3; ++i) {
             in.counts[i] = (int64_t)test_counts[n][i];
             in.delta_angle_rad[i] = (law_real)test_delta_angle_rad[n][i];

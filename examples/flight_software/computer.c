@@ -15,6 +15,7 @@
 #include <arpa/inet.h>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <sys/socket.h>
@@ -71,6 +72,7 @@ int main(int argc, char **argv)
     socklen_t size = sizeof here;
     const int bound = socket(AF_INET, stream ? SOCK_STREAM : SOCK_DGRAM, 0);
     static link_state state;
+    signal(SIGPIPE, SIG_IGN);
     link_start(&state, malloc((size_t)maxq_fsw_bytes()));
     memset(&here, 0, sizeof here);
     here.sin_family = AF_INET;

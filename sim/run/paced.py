@@ -86,7 +86,7 @@ class PacedRun(FlightRun):
         end_ns = (self._now_ns // length_ns + 1) * length_ns
         if math.isnan(self._begun_s):
             self._begun_s = time.monotonic()
-        parts = []
+        parts: list[LoggedRows] = []
         while not parts or (not self.finished and self._now_ns < end_ns):
             now_ns, clock = self._now_ns, self.packed.memory["clock"]
             next_ns = int(clock["next_sample_ns"][0])

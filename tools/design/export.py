@@ -128,6 +128,7 @@ def _declared(packed: Packed, said: str) -> Iterator[str]:
     relief = RELIEF.index(law) + 1 if law in RELIEF else 0
     first, filters = each[0], int(any(int(one.loops.on) or int(one.loops.fade_ticks) for one in each))
     moving = max(int(one.law.pd.moving.table.n_columns) for one in each)
+    turns = int(any(int(one.burns.turns) for one in each))
     numbers = (
         ("STAGES", len(packed.parameters), ""),
         ("COUNT_RAD", float(first.converter.count_rad), "angle per gyro pulse; 0: angles are given"),
@@ -140,6 +141,7 @@ def _declared(packed: Packed, said: str) -> Iterator[str]:
         ("MOVING_FILTER", int(moving > 0), "1: a bending filter changes over the flight"),
         ("FILTER_PARAMETERS", max(moving, 1), "of such a filter: frequencies, Hz, and damping ratios"),
         ("ADAPTIVE", int(any(int(one.adaptive.on) for one in each)), "1: a total gain adapts"),
+        ("TURN_THRUSTERS", turns, "1: thrusters fire in pitch and yaw in a coast"),
         ("FURTHER_GYROS", max(map(further_gyros, each)), "rate gyros beyond the first in the rate"),
     )
     yield from (f"/* {said} */", "#ifndef FLIGHT_LAW_TABLES_H", "#define FLIGHT_LAW_TABLES_H", "")
@@ -161,6 +163,7 @@ _STAGE_FIELDS = (
     "law_real accel_share;         /* by which a sample takes the acceleration's lag along */",
     "int32_t roll_thrusters;       /* 1: the law fires thrusters */",
     "int32_t roll_shortest_ticks;  /* samples of a firing */",
+    "int32_t turn_thrusters;       /* 1: the stage has thrusters in pitch and yaw, for coasts */",
     "law_real roll_k_rate_s;       /* switching line: error + this times rate */",
     "law_real roll_dead_band_rad;",
     "law_real roll_hysteresis_rad;",
@@ -234,6 +237,7 @@ def _defined(packed: Packed, said: str) -> Iterator[str]:
             float(computer.law.relief.share),
             int(computer.roll_on),
             int(roll.minimum_on_ticks),
+            int(computer.burns.turns),
             *(float(getattr(roll, name)) for name in ("k_rate_s", "dead_band_rad", "hysteresis_rad")),
             *(float(getattr(allocation, k)) if by_gimbals else 0.0 for k in ("k_p", "k_d_s", "roll_limit_rad")),
             int(computer.over),

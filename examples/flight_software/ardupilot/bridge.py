@@ -59,7 +59,7 @@ class Bridge:
         self.line = b"\n" + json.dumps(self.state(inputs), separators=(",", ":")).encode() + b"\n"
         self.socket.sendto(self.line, self.peer)
         self.pwm = self.receive(self.of["wait_s"])
-        return self.commands()
+        return self.commands() | {"commanded_q_BR": inputs.q_BR}  # ArduPilot does not send its commanded attitude
 
     def close(self):
         self.socket.close()

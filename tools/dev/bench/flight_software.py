@@ -46,6 +46,8 @@ MORE_GAINS = {
         ", k_alpha=0.2, percussion_m=4.0, accel_per_incidence_mps2=-20.0",
         ", k_alpha=0.4, percussion_m=5.0, accel_per_incidence_mps2=-60.0",
     ),
+    "drift": (", k_zd_radspm=0.001, k_z_radpm=1e-4", ", k_zd_radspm=0.002, k_z_radpm=2e-4"),
+    "pid-drift": (", k_i_ps=0.1, k_zd_radspm=0.001, k_z_radpm=1e-4", ", k_i_ps=0.2, k_zd_radspm=0.002, k_z_radpm=2e-4"),
 }
 OPTIONS = {
     "gains over mass": "",
@@ -126,7 +128,7 @@ def bits(runs: int) -> dict[str, int]:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "design.toml"
             path.write_text(design_text(law, structure, option))
-            sensors = SENSORS if law.endswith("relief") or option == "blended gyros" else ()
+            sensors = SENSORS if law.endswith(("relief", "drift")) or option == "blended gyros" else ()
             changes = [f"design={path}", *sensors]
             library, hashes = built(Path(scratch) / "law", *changes), []
             for own in ([], library):

@@ -7,6 +7,7 @@
 #include <arpa/inet.h>
 #include <netinet/in.h>
 #include <poll.h>
+#include <signal.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -161,6 +162,7 @@ int main(int argc, char **argv)
         fprintf(stderr, "usage: maxq_app tcp|udp PORT\n");
         return 2;
     }
+    signal(SIGPIPE, SIG_IGN);
     MAXQ_APP_Config.stream = strcmp(argv[1], "tcp") == 0;
     MAXQ_APP_Config.port = (uint16_t)atoi(argv[2]);
     MAXQ_APP_Main();
