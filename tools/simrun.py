@@ -44,7 +44,8 @@ _CAMPAIGN = {
     Exit.UNDECIDED: "undecided: more runs are needed",
 }
 _RESUMED = {Exit.INTERRUPTED: "interrupted; the same command resumes the campaign"}
-_KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "points", "flight-software")
+_USER_KINDS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "points")
+_KINDS = (*_USER_KINDS, "verdict", "flight-software")
 _FLIGHT_FILES = {
     "csv": "table of channels over time (.csv); units end their names",
     "mat": "MATLAB file (.mat) of channels, units and descriptions",
@@ -208,6 +209,7 @@ def _add_report(parser: Parser) -> None:
     about = "keep full logs of runs: worst:5 (of each requirement), worst:5:METRIC, failed, failed:20, 0,17; repeatable"
     parser.option("--keep WHICH...", about, type=_kept)
     parser.option("--no-report", "write summary.json only, no pictures or page")
+    parser.option("--junit FILE", "write the verdicts as JUnit XML (.xml) for continuous integration")
 
 
 def _add_files(parser: Parser) -> None:
@@ -220,7 +222,7 @@ def _add_files(parser: Parser) -> None:
   simrun schema flight-software > maxq_fsw.h
 """
     schema = parser.command("schema", "Print the JSON Schema of a kind of file", examples, _print_schema)
-    kinds = f"{', '.join(_KINDS[:-1])}; or flight-software: the C header maxq_fsw.h"
+    kinds = f"{', '.join(_USER_KINDS)}; verdict: verdict.json; or flight-software: the C header maxq_fsw.h"
     schema.option("KIND", kinds, choices=_KINDS)
     examples = "  simrun upgrade mine/case.toml            convert the file in place\n"
     about = "Convert a file of an earlier version to the present format"
