@@ -8,7 +8,7 @@ kind includes lift, breakup or turbulence. The ground is a surface of constant g
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -121,7 +121,13 @@ def falling_impacts(
 
 
 def air_column(packed: Packed) -> AirColumn:
-    """Return the air of a packed scenario over altitude at its site, with profile and gusts, without turbulence."""
+    """Return the air of a packed scenario before its flight over altitude, with wind profile and gusts.
+
+    Turbulence is left out.
+    """
+    parameters = packed.parameters.copy()
+    parameters["environment"]["turbulence"]["on"] = 0
+    packed = replace(packed, parameters=parameters)
     earth = packed.parameters[0].environment.earth
     latitude, longitude, ground_m = plain(geodetic)(earth, *packed.state[R_I : R_I + 3].tolist())
     altitudes = np.concatenate(

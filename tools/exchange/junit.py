@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree
 
-from maxq.design.verify.suite import ACCEPTED, REJECTED
+from maxq.design.verify.suite import ACCEPTED, REJECTED, JudgedRequirement
 from maxq.design.verify.verify import Verification
 from maxq.sim.campaign.analysis import DataSet, Judged
 from maxq.sim.campaign.statistics import MET, NOT_MET
@@ -66,13 +66,20 @@ def suite_of_verification(found: Verification, design: str) -> TestSuite:
             f"{r.name} ({r.where})" if r.where else r.name,
             "met" if r.waived else words.get(r.judgement, "undecided"),
             r.reason,
-            "\n".join(filter(None, (r.waived and f"waived by {r.waived}", r.again and f"again: {r.again}"))),
+            _further(r),
         )
         for r in found.requirements
     ]
     about = {"verdict": found.judgement, "headline": headline(found)}
     about |= {"missing evidence": "; ".join(found.missing_evidence)} if found.missing_evidence else {}
     return TestSuite(f"{design} by {found.suite.name}", cases, found.wall_s, about)
+
+
+def _further(r: JudgedRequirement) -> str:
+    """Return the waiver of a requirement, or the command that repeats a result other than met."""
+    if r.waived:
+        return f"waived by {r.waived}"
+    return f"again: {r.again}" if r.again and r.judgement != ACCEPTED else ""
 
 
 def suite_of_campaign(data: DataSet, verdicts: Iterable[Judged], headline: str, wall_s: float) -> TestSuite:
