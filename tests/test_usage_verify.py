@@ -11,6 +11,7 @@ import shlex
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from xml.etree import ElementTree
 
 import design_nodes
 import numpy as np
@@ -18,6 +19,8 @@ import petrelkit as petrel
 import pytest
 import test_oracle_boosters as boosters
 from flightkit import load
+from jsonschema import Draft202012Validator
+from junit_form import is_junit
 
 import maxq
 from maxq import ScenarioError
@@ -53,6 +56,7 @@ from maxq.sim.campaign.statistics import judge_failures
 from maxq.sim.input.files import builtin_files
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
+from maxq.tools.schemas import json_schema
 from maxq.tools.simverify import main
 from maxq.tools.verify import report as pack_report
 from maxq.tools.verify.report import page_of, ranked
@@ -114,8 +118,9 @@ def test_accepted_design_leaves_verdict_and_pack(
     monkeypatch.setenv("MAXQ_CACHE", "")  # the user's own: kernels are compiled there already
     monkeypatch.setattr("maxq.design.verify.memory.default_folder", lambda: tmp_path / "memory")
     out = tmp_path / "out"
-    code, said, _ = _run(capsys, "ksr3-robust", "--suite", str(suite), "--out", str(out))
+    code, said, _ = _run(capsys, "ksr3-robust", "--suite", str(suite), "--out", str(out), "--junit", f"{out}/v.xml")
     assert code == 0, said
+    is_junit(out / "v.xml")
     assert said.splitlines()[0] == (
         "the suite does not limit: gain margin 6 dB, phase margin 30 deg, peak of mode 2 -6 dB, rigid-body frequency "
         "0.5 Hz, rigid-body damping ratio 0.7"
@@ -125,6 +130,12 @@ def test_accepted_design_leaves_verdict_and_pack(
         r"PASSED SCREENING: tightest requirement: .*; (\d+) of \1 requirements met; below .* accept\.", last
     )
     verdict = json.loads((out / "verdict.json").read_text())
+    Draft202012Validator(json_schema("verdict")).validate(verdict)
+    cases = ElementTree.parse(out / "v.xml").getroot().findall("testsuite/testcase")
+    found = [(case.get("classname"), case.get("name"), [child.tag for child in case]) for case in cases]
+    assert found == [
+        (r["part"], f"{r['name']} ({r['where']})" if r["where"] else r["name"], []) for r in verdict["requirements"]
+    ]
     assert verdict["verdict"] == "passed screening"
     assert verdict["against_basis"] == said.splitlines()[:2]
     assert {r["part"] for r in verdict["requirements"]} == {"scenarios", "margins", "dispersed"}

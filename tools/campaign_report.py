@@ -17,6 +17,7 @@ import numpy as np
 from maxq.sim.campaign import analysis
 from maxq.sim.campaign.analysis import Band, DataSet, Judged, Lost, failed_runs, tightest_first
 from maxq.sim.campaign.availability import Month, availability
+from maxq.sim.campaign.drop_zones import drop_zones
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.plan import Draw
 from maxq.sim.campaign.read import LoadedCampaign, channel_units
@@ -30,6 +31,7 @@ from maxq.tools.cli import terminal
 from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.plots import campaign as plots
 from maxq.tools.plots.campaign import replay
+from maxq.tools.plots.drops import drop_plots, zone_cells
 from maxq.tools.plots.figures import as_csv
 
 TAIL_NOTE = "quantile: that the required share does not exceed; fit: share of samples that fit worse, 0.05 is poor"
@@ -391,6 +393,8 @@ def write_report(
     base, labels = data.campaign.base, labels_of(data.campaign)
     ordered, rows = tightest_first(verdicts), requirement_rows(data, verdicts)
     drawn = plots.plots(data, ordered, tails, over_time, channel_units(base), found, inputs, sample, labels)
+    zones = drop_zones(data)
+    drawn += drop_plots(zones, base.scenario, data.folder)
     for plot in drawn:
         files.append(write_whole(data.folder / "figures" / f"{plot.name}.csv", as_csv(plot), CampaignError))
     judgements = {v.shown.judgement for v in verdicts}
@@ -409,6 +413,7 @@ def write_report(
         labels=labels,
         distribution=distribution,
         requirements=rows,
+        zones=[zone_cells(zone) for zone in zones],
         tails=tail_rows(tails) if tails_shown(tails) else [],
         meanings=meanings_of(data.campaign.campaign.success, data.campaign.campaign.confidence),
         months=month_rows(availability(data)),

@@ -1,4 +1,7 @@
-"""The JSON Schemas of all files that a user writes, made from the models that check them: `simrun schema KIND`."""
+"""The JSON Schemas of all files that a user writes, and of verdict.json: `simrun schema KIND`.
+
+They are made from the models that check or write these files.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Vehicle
 from maxq.tools.vehicle.layout import Layout
+from maxq.tools.verify.record_model import verdict_schema
 
 
 class DesignFile(Design):
@@ -42,8 +46,10 @@ _APPEND = {"type": "object", "description": "lists whose elements are added to t
 def json_schema(kind: str) -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of a kind of file in the form that a user writes.
 
-    It allows `extends`, and the names of files in place of their content.
+    It allows `extends`, and the names of files in place of their content. The kind "verdict" is verdict.json.
     """
+    if kind == "verdict":
+        return verdict_schema()
     if kind == "campaign":
         return _campaign()
     schema = MODELS[kind].model_json_schema(by_alias=True)

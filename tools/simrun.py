@@ -46,7 +46,7 @@ _CAMPAIGN = {
 }
 _RESUMED = {Exit.INTERRUPTED: "interrupted; the same command resumes the campaign"}
 _MODELS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "points")
-_KINDS = (*_MODELS, "flight-software", "messages")
+_KINDS = (*_MODELS, "verdict", "flight-software", "messages")
 _FLIGHT_FILES = {
     "csv": "table of channels over time (.csv); units end their names",
     "mat": "MATLAB file (.mat) of channels, units and descriptions",
@@ -230,6 +230,7 @@ def _add_report(parser: Parser) -> None:
     about = "keep full logs of runs: worst:5 (of each requirement), worst:5:METRIC, failed, failed:20, 0,17; repeatable"
     parser.option("--keep WHICH...", about, type=_kept)
     parser.option("--no-report", "write summary.json only, no pictures or page")
+    parser.option("--junit FILE", "write the verdicts as JUnit XML (.xml) for continuous integration")
 
 
 def _add_files(parser: Parser) -> None:
@@ -244,7 +245,10 @@ def _add_files(parser: Parser) -> None:
 """
     about = "Print the JSON Schema of a kind of file, or the interface of flight code"
     schema = parser.command("schema", about, examples, _print_schema)
-    kinds = f"{', '.join(_MODELS)}; flight-software: the C header maxq_fsw.h; messages: its structs over a socket"
+    kinds = (
+        f"{', '.join(_MODELS)}; verdict: verdict.json; flight-software: the C header maxq_fsw.h; "
+        "messages: its structs over a socket"
+    )
     schema.option("KIND", kinds, choices=_KINDS)
     examples = "  simrun upgrade mine/case.toml            convert the file in place\n"
     about = "Convert a file of an earlier version to the present format"

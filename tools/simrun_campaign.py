@@ -26,7 +26,7 @@ from maxq.sim.campaign.shards import Shard, checked_shards, merge, shard_from, s
 from maxq.sim.campaign.statistics import MET, NOT_MET
 from maxq.sim.campaign.store import RUNS, campaign_in
 from maxq.sim.campaign.targets import Refused
-from maxq.sim.files import plain_name, write_whole
+from maxq.sim.files import check_writable, plain_name, write_whole
 from maxq.sim.flight.metric_table import METRIC_NAMES, title_of, unit_of
 from maxq.sim.input.errors import suggestion
 from maxq.sim.run.quantities import number_text, quantity_text, unit_text
@@ -34,6 +34,7 @@ from maxq.sim.run.record import LOG_NAME, SUMMARY_NAME
 from maxq.tools import campaign_report as text
 from maxq.tools.cli.frame import Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress, aligned, announce, printable, tell
+from maxq.tools.exchange.junit import checked_path, suite_of_campaign, write_junit
 from maxq.tools.flight_report import report
 from maxq.tools.replay.viewer import ReplayError
 from maxq.tools.simrun_fly import show_flight, viewer_needed
@@ -59,6 +60,7 @@ def fly_campaign(
     shard: str | None = None,
     keep: tuple[str, ...] = (),
     no_report: bool = False,
+    junit: str | None = None,
 ) -> int:
     """Fly, resume or enlarge a campaign or a shard of it, and return the exit code.
 
@@ -66,6 +68,7 @@ def fly_campaign(
     The arguments are the options of the subcommand.
     """
     start_s = time.perf_counter()
+    junit_path = _junit_path(junit)
     changes = {name: value for name, value in (("runs", runs), ("seed", seed)) if value is not None}
     announce(f"reading {campaign}")
     loaded = load_campaign(campaign, overrides).with_campaign(**changes)
@@ -100,7 +103,9 @@ def fly_campaign(
         if outcome.flown == 0 and not outcome.stopped:
             flown = f"all {outcome.total} runs were flown before; --runs N with a larger number flies more"
         data = DataSet(folder, loaded)
-        code = _tell(data, outcome.total, flown, not no_report, start_s, outcome.settled, not outcome.stopped)
+        code = _tell(
+            data, outcome.total, flown, not no_report, start_s, outcome.settled, not outcome.stopped, junit_path
+        )
         if sync is not None:
             ObjectFolder(sync).push(folder)  # also the report
         if outcome.stopped:
@@ -132,10 +137,15 @@ def _shard_folders(given: str, stack: ExitStack) -> list[Path]:
 
 
 def merge_shards(
-    folders: tuple[str, ...], *, out: str | None = None, keep: tuple[str, ...] = (), no_report: bool = False
+    folders: tuple[str, ...],
+    *,
+    out: str | None = None,
+    keep: tuple[str, ...] = (),
+    no_report: bool = False,
+    junit: str | None = None,
 ) -> int:
     """Merge the shards of a campaign, judge it, write its report, and return the exit code."""
-    start_s = time.perf_counter()
+    start_s, junit_path = time.perf_counter(), _junit_path(junit)
     announce("merging")
     with ExitStack() as stack:
         there = [folder for given in folders for folder in _shard_folders(given, stack)]
@@ -147,14 +157,33 @@ def merge_shards(
         data = DataSet(place, campaign)
         total = len(data.runs)
         flown = f"{total} runs of {len(there)} shards merged in {place}"
-        return _tell(data, total, flown, not no_report, start_s, False, True)
+        return _tell(data, total, flown, not no_report, start_s, False, True, junit_path)
 
 
-def _tell(data: DataSet, total: int, flown: str, pictures: bool, start_s: float, settled: bool, complete: bool) -> int:
+def _junit_path(name: str | None) -> Path | None:
+    """Return the path of --junit. Raises CommandError for a wrong name, and FileError if it cannot be written."""
+    if name is None:
+        return None
+    path = checked_path(name)
+    check_writable(path.parent)
+    return path
+
+
+def _tell(
+    data: DataSet,
+    total: int,
+    flown: str,
+    pictures: bool,
+    start_s: float,
+    settled: bool,
+    complete: bool,
+    junit: Path | None,
+) -> int:
     """Write the summary and the report, print the results, and return the exit code.
 
     `total` is the number of runs of the campaign. `flown` is a text on the flights of this call. The next step is
-    printed only if the campaign is `complete`; otherwise, the caller prints how to resume it.
+    printed only if the campaign is `complete`; otherwise, the caller prints how to resume it. `junit` is a file for the
+    verdicts as JUnit XML.
     """
     announce("writing the report")
     verdicts, losses = judged(data), lost(data)
@@ -166,14 +195,17 @@ def _tell(data: DataSet, total: int, flown: str, pictures: bool, start_s: float,
         tell(text.next_step(data, verdicts))
     if settled:
         tell("\nstopped early: every verdict was settled")
-    tell("\n" + text.headline(data, verdicts))
+    headline = text.headline(data, verdicts)
+    tell("\n" + headline)
+    if junit is not None:
+        write_junit(junit, [suite_of_campaign(data, verdicts, headline, time.perf_counter() - start_s)])
     judgements = {v.shown.judgement for v in verdicts}
     if NOT_MET in judgements:
         return Exit.FAILED
     return Exit.OK if judgements == {MET} else Exit.UNDECIDED
 
 
-def report_again(folder: str, *, keep: tuple[str, ...] = (), no_report: bool = False) -> int:
+def report_again(folder: str, *, keep: tuple[str, ...] = (), no_report: bool = False, junit: str | None = None) -> int:
     """Judge a flown campaign, write its report again, and return the exit code. The runs `keep` are flown with a full
     log.
     """
@@ -181,11 +213,12 @@ def report_again(folder: str, *, keep: tuple[str, ...] = (), no_report: bool = F
     place = Path(folder)
     if (shard := shard_in(place)) is not None:
         raise CampaignError(f"{place}: holds shard {shard} of a campaign; simrun merge makes the report of all shards")
+    junit_path = _junit_path(junit)
     data = DataSet(place, campaign_in(place))
     total = len(data.runs)
     with Interruption() as stop:
         _keep(data.campaign, place, keep, stop)
-        return _tell(data, total, f"{total} runs in {place}", not no_report, start_s, False, True)
+        return _tell(data, total, f"{total} runs in {place}", not no_report, start_s, False, True, junit_path)
 
 
 def _keep(campaign: LoadedCampaign, folder: Path, keep: tuple[str, ...], stop: Stop) -> None:

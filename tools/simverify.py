@@ -44,6 +44,7 @@ def _parser() -> Parser:
     add("--revision R", "revision of the review, for its title block")
     add("--date YYYY-MM-DD", "date of the review (default: today)", type=_date)
     add("--no-pack", "verdict.json only, no review pack")
+    add("--junit FILE", "write the verdicts as JUnit XML (.xml) for continuous integration")
     add("--afresh", "compute everything again, without the cache")
     add("--register", "write seeds chosen by --set into the ledger of the vehicle before they are flown; fly nothing")
     add("--sign KEY", "sign the pack with this SSH key (ssh-keygen -Y sign)")
@@ -55,6 +56,7 @@ def _parser() -> Parser:
         "--revision",
         "--date",
         "--no-pack",
+        "--junit",
         "--afresh",
         "--register",
         "--sign",

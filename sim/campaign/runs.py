@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from maxq.control.kernel.records import Array
+from maxq.sim.campaign.drops import drop_columns, drops_of
 from maxq.sim.campaign.plan import SEED_KEY, Drawn
 from maxq.sim.campaign.read import Inputs, LoadedCampaign
 from maxq.sim.campaign.schema import Envelope
@@ -58,6 +59,7 @@ class Row:
     inputs: dict[str, Any]
     metrics: dict[str, float]
     times_s: dict[str, float]
+    drops: dict[str, float] = field(default_factory=dict)  # columns of `drop_columns`
     history: tuple[Array, Array] | None = field(default=None, repr=False)  # times (n,), s, and values (channels, n)
 
 
@@ -153,6 +155,7 @@ class _Run:
                         return None
                     continue
                 row = recorded_row(self.made, flight)
+                row.drops = drops_of(flight)
                 if self.envelope is not None:
                     times, values = zip(*self.kept, strict=True)
                     row.history = np.concatenate(times), np.concatenate(values, axis=-1)
@@ -258,11 +261,13 @@ def input_types(campaign: LoadedCampaign) -> dict[str, pa.DataType]:
 def schema_of(campaign: LoadedCampaign) -> pa.Schema:
     """Return the schema of the data set, which has a row for each run.
 
-    Its columns are the outcome, the draws (null for a run that could not be drawn), the metrics and their times.
+    Its columns are the outcome, the draws (null for a run that could not be drawn), the metrics and their times, and
+    the drop points of vehicles with separations.
     """
     inputs = [pa.field(name, kind) for name, kind in input_types(campaign).items()]
     metrics = [pa.field(name, pa.float64()) for name in (*METRIC_NAMES, *map(TIME_OF.format, METRIC_NAMES))]
-    return pa.schema([*_COLUMNS, *inputs, *metrics])
+    drops = [pa.field(name, pa.float64()) for name in drop_columns(campaign.base.scenario)]
+    return pa.schema([*_COLUMNS, *inputs, *metrics, *drops])
 
 
 def table_of(rows: Sequence[Row], schema: pa.Schema) -> pa.Table:
@@ -272,7 +277,8 @@ def table_of(rows: Sequence[Row], schema: pa.Schema) -> pa.Table:
     for name in METRIC_NAMES:
         known[name] = [row.metrics[name] for row in rows]
         known[TIME_OF.format(name)] = [row.times_s[name] for row in rows]
-    columns = [known[f.name] if f.name in known else [row.inputs.get(f.name) for row in rows] for f in schema]
+    others = [row.inputs | row.drops for row in rows]
+    columns = [known[f.name] if f.name in known else [other.get(f.name) for other in others] for f in schema]
     return _table(columns, schema)
 
 

@@ -108,8 +108,8 @@ class Tabular(ABC):
         }
         content["units"] = {channel.name: channel.unit for channel in exported}
         content["descriptions"] = {channel.name: channel.description for channel in exported}
-        with whole_file(Path(path)) as part, part.open("wb") as file:
-            savemat(file, content, long_field_names=True, oned_as="column")
+        with whole_file(Path(path)) as part:
+            savemat(str(part), content, appendmat=False, long_field_names=True, oned_as="column")
         return Path(path)
 
     def channels_in(self, names: Sequence[str]) -> list[str]:

@@ -52,6 +52,16 @@ class Event:
         return self.title + (f": {self.detail}" if self.detail else "")
 
 
+@dataclass(frozen=True)
+class SeparationState:
+    """The state of the whole vehicle in I immediately before the separation at the end of a stage, from 0."""
+
+    stage: int
+    time_ns: int
+    r_I_m: tuple[float, float, float]
+    v_I_mps: tuple[float, float, float]
+
+
 @dataclass(frozen=True, repr=False)
 class Flight(Tabular):
     """The result of a flight.
@@ -63,6 +73,7 @@ class Flight(Tabular):
       "flight_software", "overrun" or "interrupted".
     - `cause`: reason for a divergence, an overrun, or a failure of external flight code.
     - `final`: value of every channel at the last instant, with or without a log.
+    - `separations`: states at separations that are scheduled; empty with external flight code.
     """
 
     scenario: LoadedScenario
@@ -84,6 +95,7 @@ class Flight(Tabular):
     final: dict[str, float] = field(repr=False)
     state_hash: str
     wall_s: float
+    separations: tuple[SeparationState, ...] = field(default=(), repr=False)
 
     def __getitem__(self, channel: str) -> Array:
         """Return the values (n,) of a channel; raise KeyError for an unknown name or a flight without a log."""

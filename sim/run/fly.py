@@ -45,7 +45,7 @@ from maxq.sim.input.errors import ScenarioError
 from maxq.sim.input.values import to_ns
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
 from maxq.sim.packing.integration import unstable
-from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, GrowingRows, LoggedRows, copied
+from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, GrowingRows, LoggedRows, SeparationState, copied
 from maxq.sim.run.metrics import (
     ATTITUDE_METRICS,
     cutoff_metrics,
@@ -135,6 +135,7 @@ class FlightRun:
             int(self.packed.parameters[0].receivers.on),
         )
         self._on, self._off = (_logged(on, *widths) for on in (1, 0))
+        self._separations_ns = [int(t) for t in self.packed.parameters["timeline"]["separation_ns"][:-1] if t < NEVER]
         self._arena = blank(Arena)
         timeline = self.packed.parameters[0].timeline
         periods_ns = {FAST: int(timeline.fast_ns), SLOW: int(timeline.slow_ns)}
@@ -148,6 +149,7 @@ class FlightRun:
             for group, period_ns in periods_ns.items()
         }
         self.wall_s = 0.0
+        self._separations: list[SeparationState] = []
         self._counts = np.zeros(2, np.int64)
         self._hold(self._arrays(self._logged, self._rows))
         with compilation(loaded.name, advance, begin):
@@ -440,6 +442,7 @@ class FlightRun:
             final=final,
             state_hash=self.state_hash(),
             wall_s=self.wall_s,
+            separations=tuple(self._separations),
         )
 
     def _of_launch(self, times_s: dict[str, float]) -> dict[str, float]:
@@ -526,10 +529,29 @@ class FlightRun:
             software.advance(until_ns)
         else:
             parameters, pool, memory, state, arena, *others = self._arrays(logged, room)
-            advance(parameters, pool, memory, state, arena, until_ns, *others)
+            for stop_ns in self._stops_ns(until_ns):
+                advance(parameters, pool, memory, state, arena, stop_ns, *others)
         (fast_ns, fast), (slow_ns, slow) = room[FAST], room[SLOW]
         n, m = self._counts
         return {FAST: (fast_ns[:n], fast[:n]), SLOW: (slow_ns[:m], slow[:m])}
+
+    def _stops_ns(self, until_ns: int) -> Iterator[int]:
+        """Yield the scheduled separations until `until_ns` and this time, and keep the state before each separation.
+
+        A step ends there in any case, so that these stops do not change the flight. `advance` carries a separation out
+        at the beginning of its next call.
+        """
+        clock = self.packed.memory["clock"]
+        first = int(clock["stage"][0])
+        for stage, at_ns in enumerate(self._separations_ns[first:], first):
+            if not self._now_ns < at_ns <= until_ns:
+                break
+            yield at_ns
+            if self._now_ns != at_ns or int(clock["stage"][0]) != stage or self.finished:
+                break
+            r_I_m, v_I_mps = (tuple(self.packed.state[k : k + 3].tolist()) for k in (R_I, V_I))
+            self._separations.append(SeparationState(stage, at_ns, r_I_m, v_I_mps))
+        yield until_ns
 
 
 def fly(

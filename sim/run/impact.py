@@ -8,7 +8,7 @@ kind includes lift, breakup or turbulence. The ground is a surface of constant g
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -121,7 +121,13 @@ def falling_impacts(
 
 
 def air_column(packed: Packed) -> AirColumn:
-    """Return the air of a packed scenario over altitude at its site, with profile and gusts, without turbulence."""
+    """Return the air of a packed scenario before its flight over altitude, with wind profile and gusts.
+
+    Turbulence is left out.
+    """
+    parameters = packed.parameters.copy()
+    parameters["environment"]["turbulence"]["on"] = 0
+    packed = replace(packed, parameters=parameters)
     earth = packed.parameters[0].environment.earth
     latitude, longitude, ground_m = plain(geodetic)(earth, *packed.state[R_I : R_I + 3].tolist())
     altitudes = np.concatenate(
@@ -189,7 +195,7 @@ def _gravitation(earth: Earth, r_m: Array) -> Array:
     radius = np.linalg.norm(r_m, axis=1)
     k = -float(earth.mu_m3ps2) / radius**3
     if earth.gravity == INVERSE_SQUARE:
-        return k[:, None] * r_m
+        return np.asarray(k[:, None] * r_m)
     c = 1.5 * float(earth.j2) * (float(earth.gravity_radius_m) / radius) ** 2
     s = 5.0 * (r_m[:, 2] / radius) ** 2
     across = k * (1.0 + c * (1.0 - s))
@@ -207,4 +213,4 @@ def _stepped(earth: Earth, column: AirColumn, ballistic_kgpm2: float, y: Array, 
     k2 = _rates(earth, column, ballistic_kgpm2, y + 0.5 * h * k1)[0]
     k3 = _rates(earth, column, ballistic_kgpm2, y + 0.5 * h * k2)[0]
     k4 = _rates(earth, column, ballistic_kgpm2, y + h * k3)[0]
-    return y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return np.asarray(y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))

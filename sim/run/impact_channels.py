@@ -160,7 +160,7 @@ class WithImpacts(Tabular):
         force = np.array([self.source[f"specific_force_B_{axis}_mps2"][k] for axis in "xyz"])
         turned = 2.0 * np.cross([x, y, z], force)
         own = force + w * turned + np.cross([x, y, z], turned)
-        return own + np.array([self.source[f"gravitation_I_{axis}_mps2"][k] for axis in "xyz"])
+        return np.asarray(own + [self.source[f"gravitation_I_{axis}_mps2"][k] for axis in "xyz"])
 
 
 def dropped_body(stages: tuple[Stage, ...], index: int, time_s: float, r_I_m: Array, v_I_mps: Array) -> DroppedBody:

@@ -125,7 +125,7 @@ def _cut(places: Array) -> Iterator[Array]:
         share = (edge - longitude[k]) / (longitude[k + 1] - longitude[k])
         at = whole[k] + share * (whole[k + 1] - whole[k])
         yield np.vstack([*start, whole[first : k + 1], at]) - np.eye(whole.shape[1])[0] * 360.0 * sheet[k]
-        start, first = [at], k + 1
+        start, first = [at], int(k) + 1
     yield np.vstack([*start, whole[first:]]) - np.eye(whole.shape[1])[0] * 360.0 * sheet[-1]
 
 

@@ -17,7 +17,7 @@ from typing import Literal
 
 import numpy as np
 
-from maxq.control.kernel.records import Array
+from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.files import write_whole
 from maxq.sim.log.head import LogError
 from maxq.sim.run.impact_channels import WithImpacts
@@ -67,7 +67,7 @@ class OrbitMessages:
         scenario = flight.loaded.scenario
         self.object_name = " ".join((scenario.vehicle.name or scenario.name or "UNKNOWN").split())
 
-    def states(self, rows: Array) -> tuple[Array, Array]:
+    def states(self, rows: IntArray) -> tuple[Array, Array]:
         """Return position, m, and velocity, m/s, (n, 3) in the frame of the message at slow rows (n,)."""
         times, r, v = (part[rows] for part in self.flight.states)
         rate = float(self.flight.earth.rate_radps)
@@ -147,7 +147,7 @@ class OrbitMessages:
         events = self.flight.source.events
         return [(event.time_ns / 1e9, event.text.partition(":")[0].partition(" ")[0]) for event in events]
 
-    def _segments(self) -> Iterator[Array]:
+    def _segments(self) -> Iterator[IntArray]:
         """Yield the slow rows of each segment: one per second and the ends, which are not on the same instant."""
         times = self.flight.states[0]
         cuts = sorted({t for t, name in self._events() if name in _THRUST_EVENTS and times[0] < t < times[-1]})

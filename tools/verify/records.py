@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from maxq.design.verify.seeds import BY_HAND, DECLARED
 from maxq.design.verify.verify import Verification
 from maxq.sim.campaign.schema import campaign_title
 from maxq.sim.campaign.store import MANIFEST, parts_in
 from maxq.sim.files import write_whole
+from maxq.tools.verify.record_model import ProvenanceRecord
 
 ATTEMPTS_NAME, RUNS_NAME, RESULTS_NAME = "attempts.jsonl", "verdict-runs", "results.json.gz"
 MOST_NAMES = 6  # recalled results named in a line; verdict.json lists all
@@ -44,7 +44,7 @@ def reused_line(found: Verification) -> str:
     return f"NOT COMPUTED AFRESH: {' and '.join(texts)} recalled from the cache; {checked}"
 
 
-def records(found: Verification) -> dict[str, Any]:
+def records(found: Verification) -> ProvenanceRecord:
     """Return the sections of verdict.json on the attempt, the seeds and the recalled results."""
     attempt = found.attempt
     return {
@@ -56,12 +56,12 @@ def records(found: Verification) -> dict[str, Any]:
             "line": attempt.line["hash"],
             "others": [vars(one) for one in attempt.others],
             "other_versions": [vars(one) for one in attempt.versions],
-            "damage": attempt.damage,
+            "damage": list(attempt.damage),
         },
         "seeds": [vars(seed) for seed in found.seeds],
         "recalled": {
-            "parts": found.reused.names,
-            "computed_again": found.reused.computed_again,
+            "parts": list(found.reused.names),
+            "computed_again": list(found.reused.computed_again),
             "runs": {c.name: {"recalled": c.recalled, "flown_again": c.reflown} for c in found.campaigns},
         },
     }

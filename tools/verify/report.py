@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from maxq.design.certificate.certificate import NodeCertificate
 from maxq.design.certificate.measured_only import MeasuredNode
@@ -34,6 +34,7 @@ from maxq.tools.pages.render import render
 from maxq.tools.plots.figures import Plot, as_csv
 from maxq.tools.verify.board import board_record, board_tables, waiver_lines
 from maxq.tools.verify.outcome import headline
+from maxq.tools.verify.record_model import FlightRecord, RequirementRecord, VerdictRecord
 from maxq.tools.verify.records import RESULTS_NAME, file_hashes, record_lines, records, write_attempts, write_runs
 from maxq.tools.verify.signing import SUFFIX
 
@@ -86,8 +87,9 @@ def write_pack(found: Verification, folder: Path, command: str, pack: bool, sign
         page = write_whole(folder / PAGE_NAME, page_of(found, command, drawn, signed))
         printed = print_page(page, folder / PDF_NAME)
         files += [page] if printed is None else [page, printed]
-    record = verdict_record(found, command) | {"files": file_hashes(folder, files)}
-    return [write_record(folder / VERDICT_NAME, record), *files]
+    record = verdict_record(found, command)
+    record["files"] = file_hashes(folder, files)
+    return [write_record(folder / VERDICT_NAME, dict(record)), *files]
 
 
 def worst_name(w: WorstVehicle) -> str:
@@ -394,25 +396,27 @@ def ranking(every: Sequence[Verification]) -> list[str]:
 # verdict.json
 
 
-def verdict_record(found: Verification, command: str) -> dict[str, Any]:
+def verdict_record(found: Verification, command: str) -> VerdictRecord:
     """Return the content of verdict.json: the whole verification without histories."""
-    further = found.compared.from_shipped
-    record: dict[str, Any] = {
+    further, provenance = found.compared.from_shipped, records(found)
+    requirements = [{_KEYS.get(key, key): value for key, value in vars(r).items()} for r in found.requirements]
+    flights = [{key: getattr(f, key) for key in FLIGHT} for f in found.results.flights]
+    record: VerdictRecord = {
         "schema": 2,
         "design": found.design,
         "design_name": found.scenario.design.name if found.scenario.design else "",
         "vehicle": found.scenario.vehicle.name,
         "suite": found.suite.name,
         "verdict": found.judgement,
-        "missing_evidence": found.missing_evidence,
+        "missing_evidence": list(found.missing_evidence),
         "part": found.part,
-        "left_out": found.left_out,
+        "left_out": list(found.left_out),
         "deviations": found.deviations,
         "not_covered": uncovered_record(found.results.uncovered),
         "more_runs": found.more_runs,
         "command": command,
         "asked": found.asked,
-        "requirements": [{_KEYS.get(key, key): value for key, value in vars(r).items()} for r in found.requirements],
+        "requirements": cast(list[RequirementRecord], requirements),
         "baseline": {
             "suite": found.compared.baseline,
             "shipped": found.compared.shipped,
@@ -421,9 +425,9 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         },
         "board": board_record(found),
         "against_basis": against_basis(found.suite, found.scenario),
-        "flights": [{key: getattr(f, key) for key in FLIGHT} for f in found.results.flights],
+        "flights": cast(list[FlightRecord], flights),
         "margins": [
-            {"plane": m.plane, "stage": m.stage, "times_s": m.times_s, "as_designed": m.nominal.nodes}
+            {"plane": m.plane, "stage": m.stage, "times_s": list(m.times_s), "as_designed": list(m.nominal.nodes)}
             for m in found.results.margins
         ],
         "certificate": [certificate_record(c) for c in found.results.certificates],
@@ -443,12 +447,14 @@ def verdict_record(found: Verification, command: str) -> dict[str, Any]:
         "hashes": found.hashes,
         "versions": found.versions,
         "parts": {"recalled": found.recalled, "worked_out": found.worked_out},
-        **records(found),
+        "attempt": provenance["attempt"],
+        "seeds": provenance["seeds"],
+        "recalled": provenance["recalled"],
         "wall_s": found.wall_s,
         "walls_s": found.walls_s,
         "cpus_s": found.cpus_s,
     }
-    return dict(_from_here(record))
+    return cast(VerdictRecord, _from_here(record))
 
 
 def _from_here(value: Any) -> Any:

@@ -29,6 +29,7 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.tools.cli.frame import CommandError, Exit, Interruption, say
 from maxq.tools.cli.terminal import Progress, aligned, printable, tell
 from maxq.tools.design import run_case
+from maxq.tools.exchange.junit import checked_path, suite_of_verification, write_junit
 from maxq.tools.verify import report, signing
 from maxq.tools.verify.outcome import headline
 
@@ -58,6 +59,7 @@ def execute(
     author: str = "",
     revision: str = "",
     date: str = "",
+    junit: str | None = None,
     end: Callable[[], object] | None = None,
 ) -> int:
     """Verify designs, write their packs and rank them. Return the exit code for the best design.
@@ -81,7 +83,8 @@ def execute(
         return _register(paths, loaded, vehicle)
     if sign is not None:
         signing.check_key(Path(sign))
-    for folder in folders:
+    junit_path = None if junit is None else checked_path(junit)
+    for folder in [*folders, *([junit_path.parent] if junit_path is not None else [])]:
         check_writable(folder)
     found: list[Verification] = []
     with Interruption(last_resort=_without_workers(end)) as stop, Progress() as progress:
@@ -123,6 +126,8 @@ def execute(
             )
     if len(found) > 1:
         tell(*report.ranking(found))
+    if junit_path is not None:
+        write_junit(junit_path, map(suite_of_verification, found, designs))
     return _EXIT[report.ranked(found)[0].judgement]
 
 
