@@ -43,6 +43,7 @@ from maxq.sim.scenario.schema_scenario import RequirementSection
 
 CHUNK = 8  # runs that a thread prepares, flies and judges together; fewer near the end, so that all end together
 AHEAD = 2  # tasks submitted for each worker, including those in progress
+_COUNT_S = 1.0  # interval at which the threads of a cluster are counted
 _POLL_S = 0.2  # interval of progress reports and of calls of `stop`
 _TRIES = 5  # attempts at a batch whose workers die; Dask makes several attempts for each of them
 _SHARES = 4  # least number of batches for each thread of a cluster
@@ -402,11 +403,15 @@ class DaskCluster:
         self._packed = zlib.compress(json.dumps(description_of(campaign)).encode())
         self._simulator = simulator()
         self._client, self._executor = client, client.get_executor(pure=False, retries=2)
+        self._counted, self._counted_s = 0, -math.inf
         self._out: dict[Future[Any], tuple[int, int, int]] = {}  # first run, size, tries
 
     @property
     def _threads(self) -> int:
-        return sum(self._client.nthreads().values())
+        """Return the number of threads of all workers, which a message to the scheduler finds out now and then."""
+        if (now := time.monotonic()) - self._counted_s > _COUNT_S:
+            self._counted, self._counted_s = sum(self._client.nthreads().values()), now
+        return self._counted
 
     @property
     def ahead(self) -> int:
