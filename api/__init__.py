@@ -25,6 +25,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for type checkers and editors; the interpreter finds these names by _HOMES
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from distributed import Client
@@ -42,6 +43,7 @@ if TYPE_CHECKING:  # for type checkers and editors; the interpreter finds these 
     from maxq.design.model.node import Node
     from maxq.design.model.operating_point import OperatingPoint
     from maxq.design.operating_points import PlantKind, nodes
+    from maxq.design.optimise.response_goals import LoopValues
     from maxq.design.paper.errata import Errata
     from maxq.design.verify.verify import Verification
     from maxq.sim.campaign.analysis import DataSet
@@ -83,6 +85,7 @@ __all__ = [
     "Log",
     "LogError",
     "Loop",
+    "LoopValues",
     "Margins",
     "NicholsCurves",
     "Node",
@@ -125,6 +128,7 @@ _HOMES = {
     "maxq.design.model.given_file": ("given_points",),
     "maxq.design.model.node": ("Node",),
     "maxq.design.model.operating_point": ("OperatingPoint",),
+    "maxq.design.optimise.response_goals": ("LoopValues",),
     "maxq.design.operating_points": ("nodes",),
     "maxq.design.verify.verify": ("Verification",),
     "maxq.sim.campaign.analysis": ("DataSet",),
@@ -326,18 +330,24 @@ def vehicle(layout: str | Path, folder: str | Path | None = None) -> Path:
     return place
 
 
-def optimise(case: str | Path, *overrides: str) -> Designed:
+def optimise(
+    case: str | Path, *overrides: str, functions: Mapping[str, Callable[[LoopValues], Any]] | None = None
+) -> Designed:
     """Optimise the gain schedules and the bending filter of a case (`simdesign`).
 
     :param case: TOML file, or the name of a built-in case.
     :param overrides: Changes of keys, such as ``"limits.gain_margin_db=7"``.
+    :param functions: Functions of a loop by the names that goals of the case state as `function`. Each is called with
+        the `LoopValues` of a loop, returns a number, and is differentiated by complex steps.
     :returns: The design with its limits and margins. `meets_limits` is False if it misses a limit of the case.
     :raises ScenarioError: If the case is invalid.
     :raises ValueError: If no design of the case can be computed, for example without an operating point.
     """
+    from maxq.design.optimise.response_goals import registered
     from maxq.tools.design.designed import designed
 
-    return designed(case, overrides)
+    with registered(functions or {}):
+        return designed(case, overrides)
 
 
 def verify(design: str | Path, suite: str | Path = "standard", *overrides: str) -> Verification:

@@ -203,3 +203,10 @@ QUANTITIES: dict[str, Quantity] = MEASURED | {
     "bending_moment": Quantity("bending moment in wind, rms", "M", "N m", "<="),
 }
 """All quantities, including those of the filter, the law and the wind."""
+STEPS: dict[str, Quantity] = {
+    "overshoot_pct": Quantity("overshoot after an attitude step", "overshoot %", "%", "<="),
+    "settling_pct": Quantity("deviation after the settling time", "settled %", "%", "<="),
+    "gimbal_peak": Quantity("largest gimbal command per attitude step", "gimbal peak", "", "<="),
+    "offset_peak": Quantity("largest attitude per gimbal offset", "offset peak", "", "<="),
+}
+"""The quantities of step responses, which goals can limit."""

@@ -80,7 +80,7 @@ def test_overrides_and_a_file_of_ones_own(tmp_path: Path) -> None:
         ("gains.schedule=nodes", "required key is missing"),
         ("gains.nodes_s=[5.0]", 'this key with schedule = "nodes" only'),
         ("search.starts=0", "is out of range"),
-        ("limits.without=['gain_margin_db']", "is not one of the choices"),
+        ("limits.without=['modulus_db']", "is not one of the choices"),
         ("limits.rigid_hz={time_s=[5.0,4.0],value=[0.3,0.5]}", "does not rise"),
         ("limits.rigid_hz={time_s=[5.0],value=[0.3,0.5]}", "has 2 numbers"),
         ("limits.rigid_hz=[0.3]", "has the wrong type"),

@@ -54,6 +54,7 @@ def _add_optimise(parser: Parser) -> None:
     examples = """\
   simdesign optimise ksr3-identical        a built-in case
   simdesign optimise ksr3-identical --set limits.gain_margin_db=7   with a larger gain margin
+  simdesign optimise ksr3-identical --pareto peak,margin   with the curve of peak against margin
   simdesign optimise ksr3-identical ksr3-robust --verify   design both; verify the better one, and
                                            the other if necessary
 """
@@ -74,6 +75,11 @@ def _add_optimise(parser: Parser) -> None:
     add("--seed N", "seed of the starts (default: the case's)", type=int)
     optimise.overrides("the case, e.g. limits.gain_margin_db=7")
     add("--orders", "also design filters F2 to F6, each with three gain schedules (Fig. 9 of the paper)")
+    add(
+        "--pareto A,B",
+        "also trace the trade-off between two of load, margin and peak, with a design for each of nine points",
+        without=["--orders"],
+    )
     _add_page(optimise)
     add("--verify", "verify the designs, the best one first, until one is accepted")
     add("--suite SUITE", "suite for --verify (default: standard)", needs=["--verify"])
@@ -197,7 +203,7 @@ def _optimise(
     if any(map(points.is_case_of_points, cases)):
         search = (f"search.{key}={given.pop(key)}" for key in ("starts", "seed") if given.get(key) is not None)
         changes = (*given.pop("overrides", ()), *search)
-        if verify or any(given.get(key) for key in ("orders", "plots")):
+        if verify or any(given.get(key) for key in ("orders", "pareto", "plots")):
             raise CommandError("a case of points has no vehicle: allowed are --out, --starts, --seed and --set")
         return points.make(cases[0], overrides=changes, out=out)
     given |= {"page": not no_pictures, "trials": not no_trials}

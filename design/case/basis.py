@@ -11,8 +11,9 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, ValidationError
 
+from maxq.design.case.goals import GoalSection
 from maxq.design.model.spread import Shares, Spread
-from maxq.design.quantities import CommonLimits, Degrees, RigidBody, ZoneName
+from maxq.design.quantities import STEPS, CommonLimits, Degrees, RigidBody, ZoneName
 from maxq.sim.input.documents import Source, adopt, plain
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.values import NotNegative, Positive, PositiveOverTime, Section, optional
@@ -20,7 +21,9 @@ from maxq.sim.scenario.loader import told
 from maxq.sim.scenario.messages import explain
 from maxq.sim.scenario.schema_design import Design
 
-LIMIT_NAMES = Literal["second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta"]
+LIMIT_NAMES = Literal[
+    "second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta", "gain_margin_db", "phase_margin_deg"
+]
 
 BetweenTimes = tuple[float, float]
 BetweenNodes = Literal["ignore", "hold"]
@@ -108,6 +111,11 @@ class MarginLimits(LoadLimits):
     rigid_zeta: PositiveOverTime = optional("zeta_RB,min (48): likewise", 0.7)
     without: tuple[LIMIT_NAMES, ...] = optional("limits to omit", ())
 
+    def _check(self) -> None:
+        super()._check()
+        if getattr(self, "zone", "none") != "none" and {"gain_margin_db", "phase_margin_deg"} & set(self.without):
+            raise refuse("omits a half axis of the zone", "zone = 'none'", "without")
+
 
 class Limits(MarginLimits, DesignLimits):
     """The limits of the nominal plants, of the filter and of the method."""
@@ -185,6 +193,7 @@ class Basis(Section):
     between_nodes: BetweenNodes = optional(BETWEEN, "ignore")
     wind: CaseWind | None = optional("absent: no limits of load and drift")
     limits: DesignLimits = DesignLimits()
+    goal: tuple[GoalSection, ...] = optional("goals of your own (default: none)", (), max_length=24)
     robust: Robust | None = optional("absent: the nominal plants only")
 
     def _check(self) -> None:
@@ -193,6 +202,9 @@ class Basis(Section):
         for key in WIND_KEYS:
             if self.wind is None and getattr(self.limits, key) not in (None, ()):
                 raise refuse("needs a wind", "a table [wind]", ("limits", key))
+        steps = [one.quantity for one in self.goal if one.quantity in STEPS]
+        if steps and self.loop != "sampled":
+            raise refuse(f"limits a step response ({steps[0]}), which is that of the sampled loop", "none", "goal")
         if self.bends and self.errata == "paper":
             raise refuse("has no bending moments", "errata = 'corrected'", "errata")
 

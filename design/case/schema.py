@@ -33,6 +33,7 @@ from maxq.design.case.basis import (
     check_rising,
     limit_of,
 )
+from maxq.design.case.goals import GoalSection
 from maxq.design.model.given_file import GivenPoints, read_points
 from maxq.sim.input.documents import Text
 from maxq.sim.input.errors import ScenarioError, refuse
@@ -41,7 +42,7 @@ from maxq.sim.input.values import Positive, Section, at_time, optional
 from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario, read_design
 from maxq.sim.scenario.schema_design import Design, LoadReliefSection
 
-ObjectiveName = Literal["first-mode-peak", "least-margin", "load", "bending-moment"]
+ObjectiveName = Literal["first-mode-peak", "least-margin", "load", "bending-moment", "goals"]
 """The keys of `design.optimise.criteria.OBJECTIVES`."""
 
 Model = TypeVar("Model", bound=Section)
@@ -161,8 +162,13 @@ class ObjectiveSection(Section):
     kind: ObjectiveName = optional(
         "over all operating points; first-mode-peak: smallest peak of mode 1 (42); least-margin: largest least "
         "|1 + L|, for plants whose mode 1 varies too much for a notch; load, bending-moment: smallest rms of q alpha, "
-        "or of the bending moment, in the wind of [wind], with drift and margins as limits",
+        "or of the bending moment, in the wind of [wind], with drift and margins as limits; goals: the soft ones of "
+        "[[goal]]",
         "first-mode-peak",
+    )
+    combine: Literal["sum", "largest"] | None = optional(
+        "goals: minimise the weighted sum of the soft goals in dB, each at its worst operating point, or the largest "
+        "(default: sum)"
     )
     stations_m: tuple[float, ...] | None = optional(
         "stations of the bending moment to minimise, of the stage's loads.stations_m (default: all); with "
@@ -171,6 +177,7 @@ class ObjectiveSection(Section):
 
     def _check(self) -> None:
         self.only_with(("stations_m",), self.kind == "bending-moment", 'kind = "bending-moment"')
+        self.only_with(("combine",), self.kind == "goals", 'kind = "goals"')
         if self.stations_m is not None:
             check_rising(self.stations_m, "stations_m")
 
@@ -195,6 +202,31 @@ class SearchSettings(Section):
     )
 
 
+class VariableSection(Section):
+    """A variable, or several of one kind, that the case fixes or bounds."""
+
+    name: str = Field(
+        description="a variable (k_p at 35 s), all of a kind (k_p, quadratic[0].zero_hz), a section (quadratic[0]), or "
+        "gains, filter, blend; a later entry has priority"
+    )
+    value: float | None = optional("fixed value: Hz, damping ratio, gain or weight")
+    bounds: BetweenTimes | None = optional("bounds, in the same unit")
+    from_start: Literal[True] | None = optional("true: fixed at the values of search.start_design")
+
+    def _check(self) -> None:
+        given = [key for key in ("value", "bounds", "from_start") if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise refuse("has none or several of value, bounds, from_start", "one of them", "name")
+        if self.bounds is not None and not self.bounds[0] < self.bounds[1]:
+            raise refuse("is empty", "two numbers, the lower one first; value fixes a variable", "bounds")
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Return the bounds. They are equal for a fixed value."""
+        assert self.from_start is None, "replaced by its values in `solve`"
+        return self.bounds if self.bounds is not None else (self.value or 0.0, self.value or 0.0)
+
+
 class StageCase(Section):
     """The keys that replace those of the case in one stage."""
 
@@ -205,6 +237,8 @@ class StageCase(Section):
     limits: Limits | None = optional("see [limits]")
     reference: ReferencePhase | None = optional("see [reference]")
     robust: Robust | None = optional("see [robust]; without a [robust] of the case, this stage alone is robust")
+    variable: tuple[VariableSection, ...] | None = optional("see [[variable]]")
+    goal: tuple[GoalSection, ...] | None = optional("see [[goal]]")
 
 
 class CaseHead(Section):
@@ -249,6 +283,7 @@ class Case(Basis, CaseHead):
     objective: ObjectiveSection = ObjectiveSection()
     reference: ReferencePhase = ReferencePhase()
     search: SearchSettings = SearchSettings()
+    variable: tuple[VariableSection, ...] = optional("variables of the law to fix or to bound (default: none)", ())
     stage: tuple[StageCase, ...] = optional(
         "keys that differ by stage, in the order of flight (default: none)", (), max_length=MAX_STAGES
     )
@@ -278,6 +313,18 @@ class Case(Basis, CaseHead):
         if getattr(self.filter, absent) is not None:
             allowed = "nodes_s" if absent == "nodes" else f"nodes, over {self.gains.over}"
             raise refuse(f"the gains are over {self.gains.over}", allowed, ("filter", absent))
+        soft = [one for one in self.goal if not one.hard]
+        if bool(soft) != (self.objective.kind == "goals"):
+            problem = "has no soft goal" if not soft else "does not include the soft goals"
+            allowed = "a [[goal]] with a weight" if not soft else "goals, or [[goal]] without weight"
+            raise refuse(problem, allowed, ("objective", "kind"))
+        for one in soft:
+            if one.quantity in WIND_KEYS and self.wind is None:
+                raise refuse("needs a wind", "a table [wind]", "goal")
+            if one.quantity in WIND_KEYS and getattr(self.limits, one.quantity) is not None:
+                raise refuse("is a soft goal", "no limit of it", ("limits", one.quantity))
+        if self.search.start_design is None and any(one.from_start for one in self.variable):
+            raise refuse("needs a start design", "search.start_design", "variable")
         if self.law != "pd" and self.gains.schedule == "two-phase":
             raise refuse("finds gains of the law pd only", "linear, free, nodes", ("gains", "schedule"))
         for name in ("integral_hz", "most_integral_hz"):
@@ -304,6 +351,15 @@ class Case(Basis, CaseHead):
             return ()
         return known if self.objective.stations_m is None else self.objective.stations_m
 
+    @property
+    def soft_goals(self) -> dict[int, GoalSection]:
+        """Return the soft goals by their term of the objective. With `largest`, all belong to term 0 (`term_of`)."""
+        return dict(enumerate(one for one in self.goal if not one.hard))
+
+    def term_of(self, number: int) -> int:
+        """Return the term of the objective to which soft goal `number` belongs."""
+        return 0 if self.objective.combine == "largest" else number
+
     def integral_hz(self, times_s: Any) -> float:
         """Return the lowest corner frequency (Hz) of the integral of a law with an integral, at vehicle times (s)."""
         least = self.limits.integral_hz
@@ -321,6 +377,8 @@ class Case(Basis, CaseHead):
         if self.law in INTEGRAL:
             stated["integral_hz"] = self.integral_hz(nodes_s)
         given = {key: getattr(self, key) for key in Basis.model_fields}
+        # a function remains with the case
+        given["goal"] = tuple(one for one in self.goal if one.hard and one.quantity != "function")
         return Basis(**given | {"scenario": scenario, "nodes_s": nodes_s, "limits": DesignLimits(**stated)})
 
     @property
@@ -385,6 +443,7 @@ def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
     The scenario is first searched for in the folder of the case, then as in `load_scenario`.
     """
     case, tree, file, label, _ = load_file(Case, "case", name, overrides)
+    case = _with_functions(case, file.parent)
     if case.points is not None:
         found = find(Text.of(case.points, tree.sources.get("points", tree.source)), ("{}", "{}.toml"))
         known = case.points in builtin_files("points") or found is None
@@ -417,6 +476,16 @@ def _beside(of: Model, tree: Any, file: Path | None) -> Model:
     if robust is None or not isinstance(campaign, Text):
         return of
     return of.model_copy(update={"robust": robust.model_copy(update={"campaign": named_in_file(campaign, file)})})
+
+
+def _with_functions(case: Case, folder: Path) -> Case:
+    """Return the case with the files of its goals' functions in its folder."""
+    stages = [one.model_copy(update={"goal": _with_paths(one.goal, folder)}) if one.goal else one for one in case.stage]
+    return case.model_copy(update={"goal": _with_paths(case.goal, folder), "stage": tuple(stages)})
+
+
+def _with_paths(goals: Iterable[GoalSection], folder: Path) -> tuple[GoalSection, ...]:
+    return tuple(one.beside(folder) if one.function else one for one in goals)
 
 
 def _start_design(case: Case, tree: Any, scenario: LoadedScenario) -> Design | None:

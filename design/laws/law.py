@@ -35,7 +35,7 @@ from maxq.control.kernel.records import Array, IntArray
 from maxq.control.structures import Over
 from maxq.design.model.instruments import Plane
 from maxq.design.model.state_space import ComplexArray, StateSpace
-from maxq.design.quantities import QUANTITIES, Quantity
+from maxq.design.quantities import QUANTITIES, Quantity, Sense
 
 MEASUREMENTS = ("angle_rad", "rate_radps", "angle_integral_rads")
 ANGLES = MEASUREMENTS[::2]  # quantities derived from the angle
@@ -125,17 +125,20 @@ class LawLimit:
     """A limit that is independent of frequency.
 
     `linear` is True if the gradient with respect to the law's own parameters is constant. `objective` is True if the
-    quantity is minimised rather than limited.
+    quantity is minimised rather than limited, with a `weight` in a `term` of the objective.
     """
 
     text: str
     unit: str
     linear: bool
     objective: bool = False
+    term: int = 0
+    weight: float = 1.0
+    sense: Sense = "<="
 
     @staticmethod
-    def of(about: Quantity, linear: bool, objective: bool = False) -> LawLimit:
-        return LawLimit(about.label, about.unit, linear, objective)
+    def of(about: Quantity, linear: bool, objective: bool = False, term: int = 0, weight: float = 1.0) -> LawLimit:
+        return LawLimit(about.label, about.unit, linear, objective, term, weight, about.sense)
 
     @staticmethod
     def on(key: str, linear: bool) -> LawLimit:
@@ -147,7 +150,8 @@ class LawLimit:
 class LimitValues:
     """The values of a law's limit `number` at some plants, (rows,), in the limit's unit, and the excess over the limit.
 
-    A `plant` of -1 denotes the law as a whole. `gradient` (rows, own parameters) is the gradient of the excess.
+    A `plant` of -1 denotes the law as a whole. `gradient` (rows, own parameters) is the gradient of the excess. `index`
+    identifies the rows of a plant, if it may have several.
     """
 
     number: int
@@ -156,6 +160,7 @@ class LimitValues:
     limit: Array
     excess_db: Array
     gradient: Array
+    index: IntArray | None = None
 
 
 class LawVariables(Protocol):
@@ -210,7 +215,7 @@ class LawVariables(Protocol):
         """
 
     def axis(self, x: Array) -> Axis:
-        """Return the arrays that `response` and `log_response` need at the points x = ln f."""
+        """Return the arrays that `response` and `log_response` need at the points x = ln f, which may be complex."""
 
     def response(self, variables: Array, plant: IntArray, axis: Axis) -> tuple[ComplexArray, ComplexArray | Array]:
         """Return C at the points of a mesh, as a common factor (points,) and gains (points, inputs).
@@ -227,6 +232,11 @@ class LawVariables(Protocol):
         `weights` (points, inputs) are the ratios P_i / (sum of gains_k P_k) of each measurement.
         """
 
+    def at_points(self, own: Array, axis: Axis) -> tuple[ComplexArray, ComplexArray | Array]:
+        """Return C of one plant with the own parameters (own,), as a common factor (points,) and gains (points,
+        inputs).
+        """
+
     def limit_values(self, own: Array) -> list[LimitValues]:
         """Return the values of all active limits at the own parameters of each plant, (plants, own)."""
 
@@ -236,8 +246,11 @@ class LawVariables(Protocol):
     def designed(self, variables: Array) -> DesignedLaw:
         """Return the law of the design file that these variables represent."""
 
-    def variables_of(self, law: DesignedLaw) -> Array | None:
-        """Return the variables of a given law, or None if the law has more freedom than this family."""
+    def variables_of(self, law: DesignedLaw, clipped: bool = True) -> Array | None:
+        """Return the variables of a given law, or None if the law has more freedom than this family.
+
+        `clipped` moves values outside the bounds to the bounds.
+        """
 
     def starts(self, count: int, seed: int) -> list[Array]:
         """Return the starting points of the search, most promising first."""

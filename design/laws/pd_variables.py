@@ -18,6 +18,7 @@ from maxq.control.laws.pd import GainSchedule
 from maxq.control.structures import Over
 from maxq.design.laws import bending_filter
 from maxq.design.laws.bending_filter import AnyFilter, FilterNodes, FilterVariables, Lag, lifted
+from maxq.design.laws.freedom import bounded
 from maxq.design.laws.law import (
     ANGLES,
     DRIFTS,
@@ -135,10 +136,17 @@ class PdVariables:
         known: list[Key] = [*WIND_LIMITS, *stations] if task.winds else []
         load = case.objective.kind == "load"
         small: tuple[Key, ...] = ("q_alpha_Padeg",) if load else case.objective_stations_m(stations)
+        soft = {one.quantity: (case.term_of(k), one) for k, one in case.soft_goals.items()}
+        small = (*small, *(key for key in WIND_LIMITS if key in soft))
+        self._targets = {key: one.limit for key, (_, one) in soft.items()}
+        parts = {key: (term, one.weight or 1.0) for key, (term, one) in soft.items()}
         self._of_wind = [key for key in known if task.limits.asked(key) or key in small]
         self._first_of_wind = len(self.limits)
-        self.limits = (*self.limits, *(LawLimit.of(quantity(key), False, key in small) for key in self._of_wind))
-        self.lower, self.upper = self._bounds(0), self._bounds(1)
+        self.limits = (
+            *self.limits,
+            *(LawLimit.of(quantity(key), False, key in small, *parts.get(key, (0, 1.0))) for key in self._of_wind),
+        )
+        self.lower, self.upper = bounded(case.variable, self.names, self._bounds(0), self._bounds(1))
 
     @property
     def _in_use(self) -> list[tuple[str, FilterVariables]]:
@@ -219,6 +227,11 @@ class PdVariables:
         if self._plain:
             return self.filter.response(form, axis[0]), self.gains.at_plants(u).T[plant]
         return self.filter.response(form, axis[0]), self._on_measurements(self.own(variables)[plant], axis)[0][0]
+
+    def at_points(self, own: Array, axis: Axis) -> tuple[ComplexArray, ComplexArray | Array]:
+        n, mine = self.filter.size, np.broadcast_to(own, (len(axis[0]), len(own)))
+        gains = np.exp(mine[:, n:]) if self._plain else self._on_measurements(mine, axis)[0][0]
+        return self.filter.response(own[:n], axis[0]), gains
 
     def log_response(self, own: Array, axis: Axis) -> LogResponse:
         n = self.filter.size
@@ -319,6 +332,8 @@ class PdVariables:
         for k, key in enumerate(self._of_wind):
             i = np.flatnonzero(held[k])
             most = self.task.limits[key][i]
+            if self._targets.get(key) is not None:
+                most = np.full(len(i), self._targets[key])
             excess_db = DB * np.log(value[k, i] / np.where(np.isnan(most), 1.0, most))
             out.append(LimitValues(first + k, i, value[k, i], most, excess_db, by[k, i] * DB / value[k, i, None]))
         return out
@@ -412,7 +427,7 @@ class PdVariables:
         loops = self._loop_filters(variables)
         return PdDesign(gains, gains, form, "prewarped", self.prewarp_hz, case.law, (blend, blend), relief_hz, loops)
 
-    def variables_of(self, law: DesignedLaw) -> Array | None:
+    def variables_of(self, law: DesignedLaw, clipped: bool = True) -> Array | None:
         if not isinstance(law, PdDesign):
             return None
         form = self.filter_nodes.variables_of(law.filter, self.task.first_mode_hz)
@@ -429,7 +444,8 @@ class PdVariables:
         loops = self._lifted_loops([own and own[0] for own in law.loops])
         if loops is None:
             return None
-        return self._clipped(np.concatenate([form, known, weights, loops]))
+        found = np.concatenate([form, known, weights, loops])
+        return self._clipped(found) if clipped else found
 
     def _lifted_loops(self, filters: Sequence[BendingFilter | None]) -> Array | None:
         """Return the variables of the given loop filters, where None is a filter of 1.
@@ -506,7 +522,12 @@ class PdVariables:
         return np.concatenate([np.full(count, size) for count, size in sizes])
 
     def simpler(self) -> tuple[PdVariables, Callable[[Array], Array]] | None:
-        """Return a family with linear gains instead of many nodes, and with a constant filter instead of a schedule."""
+        """Return a family with linear gains instead of many nodes, and with a constant filter instead of a schedule.
+
+        A case that fixes or bounds variables by name has none.
+        """
+        if self.task.case.variable:
+            return None
         many = self.schedule in ("free", "nodes") and len(self.gains.nodes) > 2
         if not many and not self.filter_nodes.moves:
             return None

@@ -53,6 +53,10 @@ class PlantLimits:
             )
         return self._columns[name]
 
+    def axes(self, name: str) -> Array:
+        """Return the values of a margin for the half axes around -1, also where the limit is omitted."""
+        return np.array([getattr(limits, name) for limits in self._each], float)
+
     def asked(self, name: str | float) -> bool:
         """Return True if at least one plant has the limit."""
         return not bool(np.isnan(self[name]).all())

@@ -5,27 +5,31 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 
 from maxq.control.kernel.records import Array
-from maxq.design.case.basis import LIMIT_NAMES
+from maxq.design.case.goals import TRANSFERS
 from maxq.design.case.schema import Case, LoadedCase
 from maxq.design.laws.law import DesignedLaw, LawVariables
 from maxq.design.laws.registry import law_kind
 from maxq.design.loop.fixed_path import ExactFixedPath
 from maxq.design.loop.loop import Loop
-from maxq.design.optimise.criteria import OBJECTIVES
+from maxq.design.optimise.criteria import ASSESSED, OBJECTIVES, Criterion, criterion_of
 from maxq.design.optimise.loops import Loops
 from maxq.design.optimise.plants import Plants
-from maxq.design.optimise.problem import Problem, ProblemAtPoint
+from maxq.design.optimise.problem import Problem, ProblemAtPoint, ProblemGoals
+from maxq.design.optimise.response_goals import ResponseGoal, ResponseGoals
 from maxq.design.optimise.search import FINE_STEPS, PATIENCE, BestPoint, SearchProgress, search
 from maxq.design.optimise.solution import MET_DB, Solution, make_solution
 from maxq.design.optimise.sqp import descend
+from maxq.design.optimise.templates import bands_of_goals
+from maxq.design.quantities import STEPS
 
 MORE_STARTS = 3  # factor on the number of starts if the limits cannot be met
 LEAST_EVALUATIONS = 60  # minimum number of evaluations of a search for the limits alone
+FREED = ("second_mode_db", "filter_gain_at_infinity", "rigid_hz", "rigid_zeta")
+"""The limits that are omitted in turn if no stable design is found."""
 LIMITS_DB = 1e-7  # smallest improvement per step in such a search
 
 
@@ -40,7 +44,24 @@ def make_problem(case: Case, plants: Plants, like: LawVariables | None = None) -
 def _problem_of(case: Case, plants: Plants, law: LawVariables) -> Problem:
     loops = Loops(plants.curves, plants.unstable_open, law)
     objective, limits = OBJECTIVES[case.objective.kind], plants.task(case).limits
-    return Problem(loops, plants.bands, limits, case.limits, objective)
+    return Problem(loops, plants.bands, limits, case.limits, objective, _goals_of(case, plants, law))
+
+
+def _goals_of(case: Case, plants: Plants, law: LawVariables) -> ProblemGoals:
+    """Return the goals of a case in the form of the optimiser."""
+    term_of = {id(one): case.term_of(k) for k, one in case.soft_goals.items()}
+    applies = [np.array([one.applies(p.node.time_s, p.dispersed) for p in plants.each], bool) for one in case.goal]
+    bands = bands_of_goals(case.goal, applies, plants.curves)
+    criteria, responses = list[Criterion](), list[ResponseGoal]()
+    for k, (one, where) in enumerate(zip(case.goal, applies, strict=True)):
+        term = term_of.get(id(one), -1)
+        if one.quantity in STEPS or one.quantity == "function":
+            responses.append(ResponseGoal(one, where, term))
+        elif one.quantity in TRANSFERS or one.quantity in ASSESSED:
+            criteria.append(criterion_of(one, k, term, where, bands))
+    data = [p.goal_data for p in plants.each if p.goal_data is not None]
+    terms = 1 + max((case.term_of(k) for k in case.soft_goals), default=0)
+    return ProblemGoals(tuple(criteria), bands, ResponseGoals(responses, law, data, plants.times_s), terms)
 
 
 def solve_at_nodes(
@@ -57,7 +78,7 @@ def solve_at_nodes(
     if solution.certificate.stable or solution.status == "interrupted":
         return solution
     freed = []
-    for name in (n for n in get_args(LIMIT_NAMES) if n not in case.limits.without):
+    for name in (n for n in FREED if n not in case.limits.without):
         limits = case.limits.model_copy(update={"without": (*case.limits.without, name)})
         fewer = case.search.model_copy(update={"starts": 2, "leaps": 0})
         freer = case.model_copy(update={"limits": limits, "search": fewer})
@@ -148,7 +169,10 @@ def _search_from(
     given = [x for x in map(law.variables_of, also_from) if x is not None]
     simpler = law.simpler()
     if simpler is None:
-        return problem, search(problem, [*given, *law.starts(count, seed)], progress=progress, leaps=leaps, seed=seed)
+        starts = [*given, *law.starts(count, seed)]
+        if case.variable:  # starts that differ in fixed variables alone are equal
+            starts = list({np.clip(x, law.lower, law.upper).round(9).tobytes(): x for x in starts}.values())
+        return problem, search(problem, starts, progress=progress, leaps=leaps, seed=seed)
     # one start has all variables, and the others have few for a low cost
     few, lift = simpler
     own, fresh = law.starts(1, seed), few.starts(count, seed)[: count - 1]

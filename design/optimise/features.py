@@ -13,6 +13,7 @@ feature, and Newton's method on the splines refines it. Its value then depends s
 | end | zero frequency, Nyquist frequency: L is real | ln|L| where L is negative |
 | modulus | d |1 + L| = 0 | ln|1 + L| |
 | zone | minimum of the zone's function along the curve | that function |
+| template | extreme of ln|S|, ln|T|, ln|K S| or ln|L| over a template (templates.py), or an end of it | ln of that |
 
 Gradients: at an extreme, the frequency may be held constant, since its change has an effect of second order. At a
 crossing u = 0 of u + iv = ln L along x, the value v changes by dv - (v_x / u_x) du. The function of a zone with corners
@@ -61,6 +62,10 @@ class FeatureKind(IntEnum):
     ZONE = 6
     END = 7
     ZONE_CORNER = 8
+    OVER_S = 9
+    OVER_T = 10
+    OVER_KS = 11
+    OVER_L = 12
 
 
 @dataclass(frozen=True)
@@ -89,6 +94,7 @@ class LogLoop:
     """The values of ln L at points, its derivatives with respect to x = ln f, and the data for the gradient of the law.
 
     `weights` (points, inputs) are those of `LawVariables.gradient`. `own` has the shape (points, own parameters).
+    `path` (3, points) is ln P with the same derivatives.
     """
 
     value: ComplexArray
@@ -97,16 +103,21 @@ class LogLoop:
     weights: ComplexArray
     own: Array
     axis: Axis
+    path: ComplexArray
 
     def beside(self, change: Array) -> LogLoop:
         """Return the values at x + change, to second order in the change."""
         first = self.first + self.second * change
-        return replace(self, value=self.value + 0.5 * (self.first + first) * change, first=first)
+        path = self.path.copy()
+        path[1] += path[2] * change
+        path[0] += 0.5 * (self.path[1] + path[1]) * change
+        return replace(self, value=self.value + 0.5 * (self.first + first) * change, first=first, path=path)
 
     def taken(self, i: CurveIndices) -> LogLoop:
         """Return the points with the indices `i`."""
         axis = tuple(a[i] for a in self.axis)
-        return LogLoop(self.value[i], self.first[i], self.second[i], self.weights[i], self.own[i], axis)
+        path = self.path[:, i]
+        return LogLoop(self.value[i], self.first[i], self.second[i], self.weights[i], self.own[i], axis, path)
 
 
 @dataclass(frozen=True)
@@ -116,8 +127,9 @@ class MeshPlaces:
     kind: NDArray[np.int8]
     cell: CurveIndices
     x: Array
-    tag: CurveIndices  # index of a peak's band; 0 for other features
+    tag: CurveIndices  # index of a peak's band, or of a template's segment; 0 for other features
     fixed: Mask  # True for a given frequency: the end of a band or of the mesh
+    tilt: Array  # slope of the template, d ln / d ln f; 0 for other features
 
 
 def wrapped(log_loop: ComplexArray) -> Array:
@@ -190,17 +202,6 @@ class Bands:
         strong = np.array([dominance(p) > 1.0 for p in part[row]], bool)
         return np.asarray(strong & (sizes[row] > SHARE * np.abs(value - own)) & (sizes[row] >= sizes.max(axis=0)))
 
-    @cached_property
-    def points(self) -> tuple[CurveIndices, CurveIndices, CurveIndices, CurveIndices]:
-        """Return the mesh points of all bands, the band of each, and each band's first and last position.
-
-        The positions are those in the returned mesh points.
-        """
-        size = self.last - self.first + 1
-        end = np.cumsum(size)
-        tag = np.repeat(np.arange(len(size)), size)
-        return np.arange(int(size.sum())) - (end - size)[tag] + self.first[tag], tag, end - size, end - 1
-
 
 @dataclass(frozen=True)
 class CurveMesh:
@@ -237,7 +238,7 @@ def joined(parts: Sequence[Record]) -> Record:
 def _untagged(kind: FeatureKind | Array, cell: CurveIndices, x: Array, fixed: bool = False) -> MeshPlaces:
     """Return places of features that have no band, all of one kind or with a kind for each."""
     n = len(cell)
-    return MeshPlaces(np.full(n, kind, np.int8), cell, x, np.zeros(n, np.int64), np.full(n, fixed))
+    return MeshPlaces(np.full(n, kind, np.int8), cell, x, np.zeros(n, np.int64), np.full(n, fixed), np.zeros(n))
 
 
 def peaks(mesh: CurveMesh) -> MeshPlaces:
@@ -246,17 +247,31 @@ def peaks(mesh: CurveMesh) -> MeshPlaces:
     An end of a band is included if the curve falls towards the inside.
     """
     curves, bands = mesh.curves, mesh.bands
-    k, tag, starts, ends = bands.points
-    value = mesh.log_gain[k]
-    # an end of a band is a maximum if the curve falls towards the inside
-    before, after = np.append(-np.inf, value[:-1]), np.append(value[1:], -np.inf)
-    before[starts], after[ends] = -np.inf, -np.inf
-    found = np.flatnonzero((value > before) & (value >= after))
+    k, tag, starts, ends = points_of(bands.first, bands.last)
+    found = maxima(mesh.log_gain[k], starts, ends)
     k, tag = k[found], tag[found]
     inner = (k > bands.first[tag]) & (k < bands.last[tag])
     at = curves.x[k]
     at[inner] = vertex(curves.x, mesh.log_gain, k[inner])
-    return MeshPlaces(np.full(len(k), FeatureKind.PEAK, np.int8), k, at, tag, ~inner)
+    return MeshPlaces(np.full(len(k), FeatureKind.PEAK, np.int8), k, at, tag, ~inner, np.zeros(len(k)))
+
+
+def points_of(first: CurveIndices, last: CurveIndices) -> tuple[CurveIndices, CurveIndices, CurveIndices, CurveIndices]:
+    """Return the mesh points of all bands from `first` to `last`, the band of each, and each band's ends.
+
+    The ends are the positions of a band's first and last point in the returned mesh points.
+    """
+    size = last - first + 1
+    end = np.cumsum(size)
+    tag = np.repeat(np.arange(len(size)), size)
+    return np.arange(int(size.sum())) - (end - size)[tag] + first[tag], tag, end - size, end - 1
+
+
+def maxima(value: Array, starts: CurveIndices, ends: CurveIndices) -> CurveIndices:
+    """Return the indices of local maxima in each band. An end is one if the curve falls towards the inside."""
+    before, after = np.append(-np.inf, value[:-1]), np.append(value[1:], -np.inf)
+    before[starts], after[ends] = -np.inf, -np.inf
+    return np.flatnonzero((value > before) & (value >= after))
 
 
 def crossings(mesh: CurveMesh) -> MeshPlaces:
@@ -375,8 +390,29 @@ def zone_value(log_gain: Array, beside: Array, cross: Cross) -> Array:
     return np.asarray(a + p if cross.zone == "diamond" else np.maximum(a, p))
 
 
-def condition(kind: NDArray[np.int8], at: LogLoop, cross: Cross) -> tuple[Array, Array]:
-    """Return the function that is zero at each feature, and its derivative with respect to x."""
+def transfer(kind: NDArray[np.int8], at: LogLoop) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Return the logarithm of the function of each template, with two derivatives with respect to x.
+
+    The functions are S = 1 / (1 + L), T = L S, K S = C S with the law C from the measured rate to the command, and L.
+    """
+    closed = 1.0 / (1.0 + np.exp(-at.value))
+    first = closed * at.first
+    s = -np.log1p(np.exp(at.value)), -first, -(closed * at.second + closed * (1.0 - closed) * at.first**2)
+    loop = at.value, at.first, at.second
+    takes_s, takes_loop, takes_path = (
+        kind != FeatureKind.OVER_L,
+        kind != FeatureKind.OVER_S,
+        kind == FeatureKind.OVER_KS,
+    )
+    out = [takes_s * a + takes_loop * b - takes_path * p for a, b, p in zip(s, loop, at.path, strict=True)]
+    return out[0], out[1], out[2]
+
+
+def condition(kind: NDArray[np.int8], at: LogLoop, cross: Cross, tilt: Array) -> tuple[Array, Array]:
+    """Return the function that is zero at each feature, and its derivative with respect to x.
+
+    `tilt` is that of `MeshPlaces`.
+    """
     residual, slope = at.first.real.copy(), at.second.real.copy()  # default: extreme of ln|L|
     k = kind == FeatureKind.GAIN_CROSSING
     residual[k], slope[k] = wrapped(at.value[k]), at.first.imag[k]
@@ -392,6 +428,10 @@ def condition(kind: NDArray[np.int8], at: LogLoop, cross: Cross) -> tuple[Array,
     k = (kind == FeatureKind.ZONE) | (kind == FeatureKind.ZONE_CORNER)
     if k.any():
         residual[k], slope[k] = _zone_condition(kind[k], at, k, cross.of(k))
+    k = kind >= FeatureKind.OVER_S
+    if k.any():
+        _, first, second = transfer(kind[k], at.taken(np.flatnonzero(k)))
+        residual[k], slope[k] = first.real - tilt[k], second.real
     return residual, slope
 
 
@@ -431,6 +471,9 @@ def sensitivity(kind: NDArray[np.int8], at: LogLoop, cross: Cross) -> ComplexArr
     k = (kind == FeatureKind.ZONE) | (kind == FeatureKind.ZONE_CORNER)
     if k.any():
         out[k] = -cross.gain[k] * DB * _zone_sensitivity(kind[k], value[k], first[k], cross.of(k))
+    k = (kind >= FeatureKind.OVER_S) & (kind < FeatureKind.OVER_L)
+    if k.any():  # S changes by -T d ln L, and T and K S by S d ln L
+        out[k] = DB * (1.0 / (1.0 + np.exp(value[k])) - (kind[k] == FeatureKind.OVER_S))
     # a curve tangent to the line that it crosses has no gradient; zero replaces infinity
     return np.where(np.isfinite(out) & (np.abs(out) < 1e6), out, 0.0)
 

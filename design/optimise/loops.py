@@ -91,6 +91,7 @@ class Loops:
             ratios / total[:, None],
             own,
             axis,
+            np.stack(p.log_path),
         )
 
     def refined(self, own: Array, places: MeshPlaces, cross: Cross) -> tuple[Array, LogLoop]:
@@ -103,7 +104,7 @@ class Loops:
         left, right = self.curves.x[cell] - width, self.curves.x[cell + 1] + width
         for _ in range(NEWTON_STEPS):
             at = self.log_loop(own, cell, x)
-            residual, slope = features.condition(places.kind, at, cross)
+            residual, slope = features.condition(places.kind, at, cross, places.tilt)
             with np.errstate(divide="ignore", invalid="ignore"):
                 change = -residual / slope
             change = np.where(np.isfinite(change) & ~places.fixed, change, 0.0)

@@ -18,6 +18,7 @@ from maxq.design.laws.law import DesignedLaw, LawVariables
 from maxq.design.model.powered import by_burn
 from maxq.design.optimise.at_nodes import make_problem, solve_at_nodes
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants, nodes_of
+from maxq.design.optimise.problem import level_of
 from maxq.design.optimise.search import SearchProgress
 from maxq.design.optimise.solution import Solution
 
@@ -52,7 +53,7 @@ class Instants:
         problem = make_problem(case, plants, law)
         there = problem.evaluate(solution.variables, complete=True)
         rows, out = there.rows, np.full((len(problem.kinds), len(times_s)), -np.inf)
-        level = np.where(rows.objective, solution.objective_db, max(solution.violation_db, 0.0))
+        level = level_of(rows, solution.levels_db, max(solution.violation_db, 0.0))
         of_plant = rows.plant >= 0
         np.maximum.at(out, (rows.what[of_plant], rows.plant[of_plant]), (rows.excess_db - level)[of_plant])
         if there.unstable:

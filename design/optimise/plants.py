@@ -18,6 +18,7 @@ from maxq.design.laws.task import PlantLimits, Rigid, Task
 from maxq.design.laws.wind import Spectrum, WindResponse
 from maxq.design.loop.fixed_path import FixedPath, fixed_path
 from maxq.design.loop.own_part import NEAREST_NYQUIST, attribution, peak_band
+from maxq.design.loop.step import step_paths
 from maxq.design.loop.wind import wind_response
 from maxq.design.margins.curve import lowest_hz_of
 from maxq.design.model.given_file import given_points
@@ -27,9 +28,14 @@ from maxq.design.model.operating_point import OperatingPoint
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.model.vehicle_at import incidence_by_acceleration
 from maxq.design.optimise.criteria import OBJECTIVES
-from maxq.design.optimise.curves import HIGHEST_HZ, TOLERANCE, CurveIndices, Curves, PathMesh, mesh_of
+from maxq.design.optimise.curves import BASE, HIGHEST_HZ, TOLERANCE, CurveIndices, Curves, PathMesh, mesh_of
 from maxq.design.optimise.features import Bands, FeatureMode
 from maxq.design.optimise.problem import bands_of
+from maxq.design.optimise.response_goals import FunctionPaths, GoalData
+from maxq.design.optimise.templates import corners_hz as corners_hz_of
+from maxq.design.quantities import STEPS
+
+FUNCTION_POINTS = 400  # frequencies of a function
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,8 @@ class Plant:
     m_q: float
     dispersed: bool = False
     wind: WindResponse | None = None
+    corners_hz: tuple[float, ...] = ()  # of the templates of the case
+    goal_data: GoalData | None = None
 
     @property
     def flown(self) -> Node:
@@ -76,15 +84,33 @@ def make_plant(node: OperatingPoint, case: Case, dispersed: bool = False) -> Pla
     path = fixed_path(node, case.loop).with_inputs(measured)
     path.measurements = measured
     wind = None if case.wind is None else wind_of(path, case)
+    corners_hz, data = tuple(corners_hz_of(case.goal)), _goal_data(path, case)
     modes = modes_of(path)
-    if OBJECTIVES[case.objective.kind].needs_mode and not any(mode.number == 1 for mode in modes):
-        others = " or ".join(f'"{name}"' for name, objective in OBJECTIVES.items() if not objective.needs_mode)
+    soft = any(one.quantity == "first_mode_db" and not one.hard for one in case.goal)
+    if (OBJECTIVES[case.objective.kind].needs_mode or soft) and not any(mode.number == 1 for mode in modes):
+        known = OBJECTIVES.items()
+        others = " or ".join(f'"{name}"' for name, each in known if not each.needs_mode and name != "goals")
         raise ValueError(
             f"operating point at {node.time_s:g} s: there is no first bending mode whose peak could be made small; "
             f"allowed is objective.kind = {others}"
         )
     d = node.derivatives
-    return Plant(node, path, modes, d.m_delta_1ps2, d.m_alpha_1ps2, d.m_q_1ps, dispersed, wind)
+    return Plant(node, path, modes, d.m_delta_1ps2, d.m_alpha_1ps2, d.m_q_1ps, dispersed, wind, corners_hz, data)
+
+
+def _goal_data(path: FixedPath, case: Case) -> GoalData | None:
+    """Return the data of a plant for goals on step responses and for functions, or None without such goals."""
+    until_s = max((one.until_s for one in case.goal if one.quantity in STEPS), default=0.0)
+    functions = {one.function: one.band_hz for one in case.goal if one.function is not None}
+    if until_s == 0.0 and not functions:
+        return None
+    names, data = path.measurements, {}
+    for name, (low_hz, high_hz) in functions.items():
+        x = np.linspace(math.log(low_hz), math.log(min(high_hz, NEAREST_NYQUIST * path.highest_hz)), FUNCTION_POINTS)
+        f = np.exp(x)
+        each = [path.response(f) * (path.ratio(one, f) if one != BASE else 1.0) for one in names]
+        data[name] = FunctionPaths(x, np.stack(each, axis=1))
+    return GoalData(step_paths(path, names, until_s) if until_s > 0.0 else None, data)
 
 
 def wind_of(path: FixedPath, case: Basis) -> WindResponse:
@@ -201,7 +227,9 @@ def make_plants(plants: Sequence[Plant], tolerance: float = TOLERANCE) -> Plants
 
 
 def _meshes(plants: Sequence[Plant], tolerance: float = TOLERANCE) -> list[PathMesh]:
-    kept = [np.array([hz for mode in p.modes for hz in (*mode.band_hz, mode.centre_hz)]) for p in plants]
+    kept = [
+        np.array([*(hz for mode in p.modes for hz in (*mode.band_hz, mode.centre_hz)), *p.corners_hz]) for p in plants
+    ]
     return [mesh_of(p.path, hz, tolerance) for p, hz in zip(plants, kept, strict=True)]
 
 

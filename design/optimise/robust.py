@@ -45,7 +45,7 @@ from maxq.design.optimise.over_time import (
     within,
 )
 from maxq.design.optimise.plants import Plant, Plants, make_plant, make_plants
-from maxq.design.optimise.problem import Problem
+from maxq.design.optimise.problem import Problem, level_of
 from maxq.design.optimise.search import BestPoint, SearchProgress, search
 from maxq.design.optimise.solution import Constraint, Solution
 from maxq.sim.campaign.read import LoadedCampaign
@@ -188,7 +188,7 @@ class _Worst:
         problem = make_problem(self.case, make_plants(each, COARSE), self.problem.law)
         there = problem.evaluate(self.found.best.variables, complete=True)
         rows, out = there.rows, np.zeros(len(each))
-        missed = rows.excess_db - np.where(rows.objective, self.found.best.objective_db, 0.0)
+        missed = rows.excess_db - level_of(rows, self.found.best.levels_db)
         matters = (rows.plant >= 0) & (missed > problem.matters_db(WORSE_DB)[rows.what])
         np.maximum.at(out, rows.plant[matters], missed[matters])
         if there.unstable:

@@ -11,11 +11,12 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.schema import Case
+from maxq.design.laws.freedom import in_units, is_logarithmic, kind_of
 from maxq.design.laws.law import DesignedLaw
 from maxq.design.model.operating_point import OperatingPoint
 from maxq.design.optimise.features import FeatureKind
 from maxq.design.optimise.plants import Plants
-from maxq.design.optimise.problem import Problem, ProblemAtPoint
+from maxq.design.optimise.problem import NO_ROW_DB, Problem, ProblemAtPoint
 from maxq.design.optimise.search import BestPoint
 
 Status = Literal["optimal", "infeasible", "interrupted"]
@@ -45,6 +46,29 @@ class Constraint:
     excess_db: float
     active: bool
     multiplier: float
+    objective: bool = False  # a part of the objective, not a limit
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """The change of the worst value of a quantity with each variable.
+
+    `value` is in `unit`. `by` contains the change of the value by the name of the variable. It applies to +1 % of a
+    frequency or gain, or +0.01 of a damping ratio or weight. It is in deg for a quantity in deg, and in dB for others;
+    a dB is 12 %.
+    """
+
+    what: str
+    plant: str | None
+    time_s: float | None
+    value: float
+    unit: str
+    by: dict[str, float]
+
+    @property
+    def changes_in(self) -> str:
+        """Return the unit of the changes."""
+        return "deg" if self.unit == "deg" else "dB"
 
 
 @dataclass(frozen=True)
@@ -73,14 +97,9 @@ class ActiveBound:
     @property
     def text(self) -> str:
         """Return the bound and its price as text."""
-        unit = " Hz" if self.variable.endswith("_hz") else ""
+        unit = " Hz" if kind_of(self.variable).endswith("_hz") else ""
         what = f"{self.variable} at its {self.side} bound {self.value:.4g}{unit}"
         return f"{what} ({self.price_db:.2g} dB per {self._unit[1]})"
-
-
-def is_logarithmic(variable: str) -> bool:
-    """Return True for a variable that is the logarithm of the quantity in its name."""
-    return variable.endswith("_hz") or variable.startswith("k_")
 
 
 @dataclass(frozen=True)
@@ -146,12 +165,13 @@ class Certificate:
 class Solution:
     """A design for a case.
 
-    `objective_db` is the minimised objective of the case (`criteria.OBJECTIVES`) over all plants.
+    `objective_db` is the minimised objective of the case (`criteria.OBJECTIVES`) over all plants, the sum of
+    `levels_db`.
     """
 
     case: Case
     status: Status
-    objective_db: float
+    levels_db: Array  # of each term of the objective
     violation_db: float
     law: DesignedLaw
     constraints: tuple[Constraint, ...]
@@ -162,6 +182,11 @@ class Solution:
     nodes: tuple[OperatingPoint, ...]  # of the nominal plants
     stable_without: tuple[str, ...] = ()  # if no design is stable: limits of which each, omitted alone, permits one
     trials: tuple[Trial, ...] = ()  # from an infeasible design
+    sensitivities: tuple[Sensitivity, ...] = ()  # of the objective and of each limit, at its worst plant
+
+    @property
+    def objective_db(self) -> float:
+        return float(self.levels_db.sum())
 
     @property
     def feasible(self) -> bool:
@@ -228,21 +253,24 @@ def make_solution(
     full, names = problem.evaluate(found.best.variables, complete=True), problem.law.names
     status: Status = "interrupted" if found.interrupted else "optimal" if found.feasible and stable else "infeasible"
     peak = full.rows.objective & ~np.array([plants.each[p].dispersed for p in full.rows.plant])
-    nominal = float(full.rows.excess_db[peak].max(initial=-1e3))
+    nominal = sum(
+        float(full.rows.excess_db[peak & (full.rows.term == term)].max(initial=NO_ROW_DB))
+        for term in range(problem.terms)
+    )
     return Solution(
         case=case,
         status=status,
-        objective_db=full.objective_db,
+        levels_db=full.levels_db,
         violation_db=full.violation_db,
         law=problem.law.designed(found.best.variables),
         constraints=_constraints(plants, problem, found, full),
         bounds=tuple(
-            ActiveBound(names[k], side, _in_units(names[k], float(ends[k])), float(at[k]))  # type: ignore[arg-type]  # one of the two literals
+            ActiveBound(names[k], side, in_units(names[k], float(ends[k])), float(at[k]))  # type: ignore[arg-type]  # one of the two literals
             for side, ends, at in (
                 ("lower", problem.lower, found.optimality.lower),
                 ("upper", problem.upper, found.optimality.upper),
             )
-            for k in np.flatnonzero(at > 0.0)
+            for k in np.flatnonzero((at > 0.0) & (problem.lower < problem.upper))
         ),
         certificate=Certificate(
             starts=len(found.ends_db),
@@ -259,13 +287,9 @@ def make_solution(
         ),
         variables=found.best.variables,
         nominal_objective_db=nominal,
+        sensitivities=_sensitivities(plants, problem, full),
         nodes=tuple(sorted((p.node for p in plants.each if not p.dispersed), key=lambda node: node.time_s)),
     )
-
-
-def _in_units(variable: str, value: float) -> float:
-    """Return the value of a variable in the unit of its name."""
-    return math.exp(value) if is_logarithmic(variable) else value
 
 
 def _constraints(plants: Plants, problem: Problem, found: BestPoint, full: ProblemAtPoint) -> tuple[Constraint, ...]:
@@ -277,11 +301,11 @@ def _constraints(plants: Plants, problem: Problem, found: BestPoint, full: Probl
         worst.setdefault(keys[r], r)
     out = []
     for key, r in sorted(worst.items()):
-        is_limit, what, p = key
+        _, what, p = key
         kind, plant = problem.kinds[what], plants.each[p] if p >= 0 else None
         # a turn near the cross is an approach and not a margin
         approach = int(rows.feature[r]) in (FeatureKind.GAIN_TURN, FeatureKind.PHASE_TURN)
-        active = rows.excess_db[r] > (0.0 if is_limit else full.objective_db) - ACTIVE_DB
+        active = full.over_db[r] > -ACTIVE_DB
         frequency = float(rows.frequency_hz[r])
         out.append(
             Constraint(
@@ -296,6 +320,34 @@ def _constraints(plants: Plants, problem: Problem, found: BestPoint, full: Probl
                 float(rows.excess_db[r]),
                 bool(active),
                 weight[key],
+                kind.objective,
             )
         )
     return tuple(out)
+
+
+def _sensitivities(plants: Plants, problem: Problem, full: ProblemAtPoint) -> tuple[Sensitivity, ...]:
+    """Return the change with each variable of the worst row of each kind, the objective first."""
+    rows, names, out = full.rows, problem.law.names, list[Sensitivity]()
+    step = np.array([math.log(1.01) if is_logarithmic(name) else 0.01 for name in names])
+    for what in np.unique(rows.what):
+        kind, mine = problem.kinds[what], np.flatnonzero(rows.what == what)
+        r = int(mine[np.argmax(rows.excess_db[mine])])
+        p = int(rows.plant[r])
+        by = full.gradient[r] * step / (kind.weight if kind.objective else 1.0)
+        by = by if kind.sense == "<=" else -by
+        if kind.unit == "deg":
+            cross = problem.cross.of(np.array([max(p, 0)]))
+            by = by / float(np.radians(cross.db_per_rad[0]))
+        node = plants.each[p].node if p >= 0 else None
+        out.append(
+            Sensitivity(
+                kind.text,
+                None if node is None else node.label,
+                None if node is None else node.time_s,
+                abs(float(rows.value[r])) if kind.text in EITHER_WAY else float(rows.value[r]),
+                kind.unit,
+                dict(zip(names, by.tolist(), strict=True)),
+            )
+        )
+    return tuple(sorted(out, key=lambda one: one.what not in {k.text for k in problem.kinds if k.objective}))

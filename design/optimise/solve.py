@@ -8,7 +8,8 @@ from dataclasses import replace
 
 from threadpoolctl import threadpool_limits
 
-from maxq.design.case.schema import Case, LoadedCase
+from maxq.design.case.schema import Case, LoadedCase, VariableSection
+from maxq.design.laws.freedom import in_units, selected
 from maxq.design.laws.law import DesignedLaw
 from maxq.design.laws.registry import designed_law
 from maxq.design.model.node_times import node_times
@@ -76,16 +77,43 @@ def solve(
     with threadpool_limits(limits=1, user_api="blas"):
         plants = nominal_plants(loaded) if plants is None else plants
         if loaded.start is not None:
-            also_from = (*also_from, _named_start(loaded.case, loaded.start, plants))
+            start = _named_start(loaded.case, loaded.start, plants)
+            loaded, also_from = _with_start_values(loaded, start, plants), (*also_from, start)
         if loaded.case.robust is not None:
             return solve_robust(loaded, plants, also_from, progress)
         method = solve_over_time if loaded.case.between_nodes == "hold" else solve_at_nodes
         return method(loaded, plants, also_from, progress)
 
 
+def _with_start_values(loaded: LoadedCase, start: DesignedLaw, plants: Plants) -> LoadedCase:
+    """Return the case with the values of the start design in place of `from_start`.
+
+    A filter with such values is discretised as in the start design.
+    """
+    case = loaded.case
+    if not any(one.from_start for one in case.variable):
+        return loaded
+    law = make_problem(_free(case), plants).law
+    values = law.variables_of(start, clipped=False)
+    assert values is not None  # `_named_start` has checked this
+    fixed = list[VariableSection]()
+    for one in case.variable:
+        mine = selected(one.name, law.names) if one.from_start else ()
+        fixed += [VariableSection(name=law.names[k], value=in_units(law.names[k], float(values[k]))) for k in mine]
+        fixed += [] if one.from_start else [one]
+    prewarp_hz = case.filter.prewarp_hz or getattr(start, "prewarp_hz", None)
+    filter_ = case.filter.model_copy(update={"prewarp_hz": prewarp_hz})
+    return replace(loaded, case=case.model_copy(update={"variable": tuple(fixed), "filter": filter_}))
+
+
+def _free(case: Case) -> Case:
+    """Return the case without fixed and bounded variables."""
+    return case.model_copy(update={"variable": ()})
+
+
 def _named_start(case: Case, design: Design, plants: Plants) -> DesignedLaw:
     law = designed_law(design.of_stage(plants.each[0].node.stage))
-    if make_problem(case, plants).law.variables_of(law) is None:
+    if make_problem(_free(case), plants).law.variables_of(law) is None:
         raise ValueError(
             f"search.start_design = {case.search.start_design!r}: has another law, gains over another quantity, or "
             f"more filter than the case; allowed is a design of the law {case.law} over {case.gains.over}"

@@ -4,11 +4,11 @@ The method solves minimax problems. Newton's method on the active rows completes
 the optimality conditions.
 
 Each step minimises t + penalty v + d'Bd/2, with every linearised peak of the objective at most t and every other excess
-at most v >= 0. B is the matrix of the Lagrangian's second derivatives, made positive semidefinite. If curved rows
-reduce the gain of a step, the step is repeated once with the rows as evaluated at the trial point (second-order
-correction). Without it, the penalty on a curved limit makes steps very short (Maratos effect). A step is accepted only
-for its effect on the real problem. All peaks and crossings are solved for again, and the closed loop must remain
-stable.
+at most v >= 0. An objective of several terms has a t for each. B is the matrix of the Lagrangian's second derivatives,
+made positive semidefinite. If curved rows reduce the gain of a step, the step is repeated once with the rows as
+evaluated at the trial point (second-order correction). Without it, the penalty on a curved limit makes steps very short
+(Maratos effect). A step is accepted only for its effect on the real problem. All peaks and crossings are solved for
+again, and the closed loop must remain stable.
 
 Linear programmes alone (B = 0) converge slowly wherever fewer rows are active than there are variables. From one start
 of F6 with free gains, they reached -10.4 dB after 120 steps, compared with -13.4 dB after 29 steps of this method.
@@ -30,7 +30,7 @@ import scipy  # its submodules are imported at first use
 
 from maxq.control.kernel.records import Array
 from maxq.design.optimise.curves import CurveIndices
-from maxq.design.optimise.problem import Problem, ProblemAtPoint
+from maxq.design.optimise.problem import Problem, ProblemAtPoint, level_of
 from maxq.design.optimise.quadratic_programme import solve_quadratic
 
 FIRST_RADIUS = 0.3
@@ -81,24 +81,26 @@ def model_step(
 
     `excess_db` replaces the excess of the rows, for a second-order correction.
     """
-    rows, n = at.rows, problem.size
+    rows, n, terms = at.rows, problem.size, len(at.levels_db)
     excess_db = rows.excess_db if excess_db is None else excess_db
-    a = np.zeros((len(rows), n + 2))
+    last = n + terms  # unknowns: the step, t of each term of the objective, v
+    a = np.zeros((len(rows), last + 1))
     a[:, :n] = at.gradient
-    a[rows.objective, n] = -1.0
-    a[~rows.objective, n + 1] = -1.0
-    # t is relative to the present objective
-    right = np.where(rows.objective, at.objective_db, 0.0) - excess_db
-    linear = np.zeros(n + 2)
-    linear[n], linear[n + 1] = max(merit.objective, 1e-9), merit.penalty
-    quadratic = np.zeros((n + 2, n + 2))
+    made_small = np.flatnonzero(rows.objective)
+    a[made_small, n + rows.term[made_small]] = -1.0
+    a[~rows.objective, last] = -1.0
+    # t is relative to the present level of its term
+    right = level_of(rows, at.levels_db) - excess_db
+    linear = np.zeros(last + 1)
+    linear[n:last], linear[last] = max(merit.objective, 1e-9), merit.penalty
+    quadratic = np.zeros((last + 1, last + 1))
     quadratic[:n, :n] = curvature
-    lower, upper = np.full(n + 2, -np.inf), np.full(n + 2, np.inf)
+    lower, upper = np.full(last + 1, -np.inf), np.full(last + 1, np.inf)
     lower[:n] = np.minimum(np.maximum(problem.lower - at.variables, -radius), 0.0)
     upper[:n] = np.maximum(np.minimum(problem.upper - at.variables, radius), 0.0)
-    lower[n], lower[n + 1] = -1e3, 0.0
-    start = np.zeros(n + 2)
-    start[n], start[n + 1] = 1.0, at.violation_db + 0.1
+    lower[n:last], lower[last] = -1e3, 0.0
+    start = np.zeros(last + 1)
+    start[n:last], start[last] = 1.0, at.violation_db + 0.1
     found = solve_quadratic(quadratic, linear, a, right, lower, upper, start)
     change = np.clip(found.z[:n], lower[:n], upper[:n])
     promised = float(linear @ found.z + 0.5 * change @ curvature @ change)
@@ -221,7 +223,8 @@ class Optimality:
     """The Karush-Kuhn-Tucker conditions at a point, with the multipliers that satisfy them best.
 
     `residual` is the largest component of the sum of multipliers times gradients, including those of the bounds. It is
-    relative to the largest component of any active gradient. The multipliers of the objective sum to 1.
+    relative to the largest component of any active gradient. The multipliers of the objective sum to 1 in each of its
+    terms.
     """
 
     multipliers: Array  # (rows,)
@@ -240,7 +243,7 @@ def optimality(problem: Problem, at: ProblemAtPoint, worst_violation: bool = Fal
     if worst_violation:
         leads, others = ~rows.objective & (rows.excess_db > at.violation_db - ACTIVE_DB), np.zeros(len(rows), bool)
     else:
-        leads = rows.objective & (rows.excess_db > at.objective_db - ACTIVE_DB)
+        leads = rows.objective & (at.over_db > -ACTIVE_DB)
         others = ~rows.objective & (rows.excess_db > -ACTIVE_DB)
     lead, other = np.flatnonzero(leads), np.flatnonzero(others)
     if not len(lead):  # as at an unstable point; SciPy's nnls crashes on a matrix without columns
@@ -250,12 +253,13 @@ def optimality(problem: Problem, at: ProblemAtPoint, worst_violation: bool = Fal
     gradients = at.gradient[np.concatenate([lead, other])]
     scale = max(float(np.abs(gradients).max(initial=0.0)), 1e-12)
     columns = np.concatenate([gradients / scale, -np.eye(n)[low], np.eye(n)[high]])
-    # the last equation, with a high weight: the leading rows' multipliers sum to 1
-    sums = np.zeros(len(columns))
-    sums[: len(lead)] = WEIGHT
+    # the last equations, with a high weight: the leading rows' multipliers sum to 1 in each term
+    terms = np.unique(rows.term[lead])
+    sums = np.zeros((len(terms), len(columns)))
+    sums[:, : len(lead)] = WEIGHT * (rows.term[lead] == terms[:, None])
     system = np.vstack([columns.T, sums])
-    found = scipy.optimize.nnls(system, np.append(np.zeros(n), WEIGHT))[0]
-    total = float(found[: len(lead)].sum())
+    found = scipy.optimize.nnls(system, np.append(np.zeros(n), np.full(len(terms), WEIGHT)))[0]
+    total = float(found[: len(lead)].sum()) / len(terms)
     found = found / total if total > 0.0 else found
     multipliers = np.zeros(len(rows))
     multipliers[lead], multipliers[other] = found[: len(lead)], found[len(lead) : len(lead) + len(other)]
@@ -298,19 +302,20 @@ def _newton(problem: Problem, at: ProblemAtPoint, quality: Optimality) -> Array 
     free = np.flatnonzero((quality.lower <= 0.0) & (quality.upper <= 0.0))
     if len(active) == 0:
         return None
-    gradient, objective = at.gradient[active], at.rows.objective[active]
-    # unknowns: the free variables, and t relative to the present objective
-    rows = np.concatenate([gradient[:, free], -objective[:, None].astype(float)], axis=1)
-    right = -(at.rows.excess_db[active] - np.where(objective, at.objective_db, 0.0))
+    gradient, term = at.gradient[active], at.rows.term[active]
+    terms = np.unique(term[term >= 0])
+    # unknowns: the free variables, and t of each term relative to its present level
+    rows = np.concatenate([gradient[:, free], -(term[:, None] == terms).astype(float)], axis=1)
+    right = -at.over_db[active]
     step = np.linalg.lstsq(rows, right, rcond=1e-10)[0]
     null = scipy.linalg.null_space(rows, rcond=1e-10)
     if null.shape[1] > 0:
         n = len(free)
-        quadratic = np.zeros((n + 1, n + 1))
+        quadratic = np.zeros((n + len(terms), n + len(terms)))
         quadratic[:n, :n] = problem.curvature(at, np.where(quality.multipliers > 1e-9, quality.multipliers, 0.0))[
             np.ix_(free, free)
         ]
-        slope = np.append(np.zeros(n), 1.0) + quadratic @ step
+        slope = np.append(np.zeros(n), np.ones(len(terms))) + quadratic @ step
         values, vectors = np.linalg.eigh(null.T @ quadratic @ null)
         steep = values > LEAST_CURVATURE
         along = vectors.T @ (null.T @ slope)

@@ -38,9 +38,9 @@ LEAST_SHARE = 1e-3  # smallest multiplier that is reported
 
 @dataclass(frozen=True)
 class Relief:
-    """A limit that determines the least violation.
+    """A limit that determines the least violation, or the objective of a feasible design.
 
-    Relaxing the limit by 1 dB lowers the violation by `gains_db`; the sum over all limits is 1. `by` is 1 dB in the
+    Relaxing the limit by 1 dB lowers this by `gains_db`; the sum of those of a violation is 1. `by` is 1 dB in the
     unit of the limit. `points` are the operating points at which the limit is active, in decreasing order of their
     share.
     """
@@ -61,9 +61,21 @@ def conflict(solution: Solution) -> tuple[Relief, ...]:
     """Return the limits that determine the violation of an infeasible but stable design, the largest share first."""
     if solution.status != "infeasible" or not solution.certificate.stable:
         return ()
+    return _reliefs(solution)
+
+
+def prices(solution: Solution) -> tuple[Relief, ...]:
+    """Return the limits that determine the objective of a feasible design, the dearest first.
+
+    Relaxing such a limit by 1 dB improves the objective by `gains_db`, for small changes.
+    """
+    return _reliefs(solution) if solution.feasible else ()
+
+
+def _reliefs(solution: Solution) -> tuple[Relief, ...]:
     by_limit = defaultdict[tuple[str, bool], list[Constraint]](list)
     for c in solution.constraints:
-        if c.multiplier > LEAST_SHARE and c.limit is not None:
+        if c.multiplier > LEAST_SHARE and c.limit is not None and not c.objective:
             by_limit[c.what, c.dispersed].append(c)
     found = []
     for (what, dispersed), points in by_limit.items():

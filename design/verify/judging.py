@@ -12,6 +12,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.basis import Basis, LoadLimits, limit_of, stated_basis
+from maxq.design.case.goals import GoalSection
 from maxq.design.laws.wind import WIND_LIMITS, Key, quantity
 from maxq.design.loop.filter_motion import MOST_MOTION, motion_shares
 from maxq.design.loop.fixed_path import LoopKind
@@ -24,6 +25,7 @@ from maxq.design.margins.measured_loop import LoopAtPoint, measure_loop
 from maxq.design.margins.multiloop import MultiloopMargins, multiloop_margins
 from maxq.design.model.operating_point import OperatingPoint
 from maxq.design.quantities import MEASURED, QUANTITIES, Convention, Quantity, ZoneName, violation
+from maxq.design.verify.goal_checks import goal_limit, goal_value, hard_goals
 from maxq.design.verify.memory import counted
 from maxq.sim.input.values import OverTime, at_time
 from maxq.sim.packing.computer import bending_filter
@@ -185,6 +187,18 @@ def checks(judged: Sequence[JudgedLoop], design: Design, wanted: Wanted) -> list
     return out
 
 
+def goal_checks(judged: Sequence[JudgedLoop], goals: Sequence[GoalSection], dispersed: bool = False) -> list[Check]:
+    """Return the checks of the hard goals of a case or a basis; for a template, of the largest excess over it."""
+    out = []
+    for k, goal in enumerate(hard_goals(goals, dispersed), 1):
+        mine, about = [j for j in judged if goal.applies(j.time_s, dispersed)], goal.about
+        values, at = np.array([goal_value(j, goal) for j in mine]), np.array([j.time_s for j in mine])
+        if mine:
+            limit, key = goal_limit(goal), f"goal_{k}"
+            out.append(Check(key, about.label, about.unit, about.sense, limit, values, at, about.heading))
+    return out
+
+
 def motion_checks(judged: Sequence[LoopAtPoint], design: Design) -> list[Check]:
     """Return the check of the motion of scheduled filters (design/loop/filter_motion.py); empty without them."""
     values, times_s = list[float](), list[float]()
@@ -269,7 +283,7 @@ class InWind:
 def stage_checks(judged: Sequence[JudgedLoop], design: Design, basis: Basis, kind: LoopKind) -> list[Check]:
     """Return the checks of all limits in a stage's basis, including those in wind."""
     nodes, here = [j.node for j in judged], basis.model_copy(update={"loop": kind})
-    found = checks(judged, design, Wanted.of(basis.limits))
+    found = [*checks(judged, design, Wanted.of(basis.limits)), *goal_checks(judged, basis.goal)]
     return found + wind_checks(in_wind(here, nodes, design, None), basis.limits, nodes)
 
 

@@ -14,7 +14,17 @@ from maxq.design.model.operating_point import OperatingPoint
 from maxq.design.optimise.criteria import OBJECTIVES
 from maxq.design.optimise.robust import dispersed_nodes, ranges_of
 from maxq.design.optimise.solution import Solution
-from maxq.design.verify.judging import Check, InWind, JudgedLoop, Wanted, checks, in_wind, judge, wind_checks
+from maxq.design.verify.judging import (
+    Check,
+    InWind,
+    JudgedLoop,
+    Wanted,
+    checks,
+    goal_checks,
+    in_wind,
+    judge,
+    wind_checks,
+)
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.scenario.schema_design import Design, LoopFiltersSection, StageLaw
@@ -184,12 +194,14 @@ def judge_solution(
     flown = checks(judged if as_flown else judge(nodes, design, "sampled"), design, wanted)
     winds = in_wind(case, nodes, design, None if loaded.base is None else loaded.base.design)
     found = [*(flown if as_flown else checks(judged, design, wanted))]
-    found += wind_checks(winds, case.limits, nodes)
+    found += [*goal_checks(judged, case.goal), *wind_checks(winds, case.limits, nodes)]
     if case.robust is None:
         return DesignOutcome(loaded, design, judged, found, flown, [], wanted, winds)
     vehicles = [flown_point(node) for node in nodes]
     dispersed = dispersed_nodes(ranges_of(loaded, vehicles), vehicles, solution.constraints)
-    off = checks(judge(dispersed, design, case.loop), design, Wanted.of(case.robust.limits)) if dispersed else []
+    off = list[Check]()
     if dispersed:
+        found_off = judge(dispersed, design, case.loop)
+        off += checks(found_off, design, Wanted.of(case.robust.limits)) + goal_checks(found_off, case.goal, True)
         off += wind_checks(in_wind(case, dispersed, design, None), case.robust.limits, dispersed)
     return DesignOutcome(loaded, design, judged, found, flown, off, wanted, winds)

@@ -344,9 +344,7 @@ def along(loaded: LoadedCase, solution: Solution) -> Solution:
         return replace(solution, nodes=tuple(nodes))
     plants = make_plants([make_plant(node, solution.case) for node in nodes])
     there = make_problem(solution.case, plants).evaluate(solution.variables)
-    return replace(
-        solution, nodes=tuple(nodes), objective_db=there.objective_db, nominal_objective_db=there.objective_db
-    )
+    return replace(solution, nodes=tuple(nodes), levels_db=there.levels_db, nominal_objective_db=there.objective_db)
 
 
 def with_design(scenario: LoadedScenario, design: Design) -> LoadedScenario:

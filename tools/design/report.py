@@ -57,6 +57,8 @@ GAIN_HEADS = {
 }
 DRIFT_GAINS = ("k_zd_radspm", "k_z_radpm")  # orders of magnitude smaller than the other gains
 MET, MISSED = "met", "MISSED"
+SENSITIVITIES = "Change of the worst values for +1 % of a frequency or gain, or +0.01 of a damping ratio or weight"
+MOST_SENSITIVE = 3  # variables of a quantity in a table
 KINDS = {"sampled": "sampled, as it flies", "pade": "the paper's Pade approximants", "exact": "without aliasing"}
 _PARTS = {"rigid body": "rigid", "aerodynamics": "aero", "engine inertia": "engine"}
 
@@ -175,6 +177,7 @@ def case_report(outcome: DesignOutcome, solution: Solution) -> str:
         way_out_table(solution),
         design_table(design),
         search_table(solution),
+        sensitivity_table(solution),
         wind_table(outcome),
         margins_table(outcome.judged),
         lobes_table(outcome.judged),
@@ -415,10 +418,13 @@ def search_table(solution: Solution) -> list[str]:
 
 def search_rows(solution: Solution) -> list[tuple[str, str]]:
     """Return the names and texts of the rows on the search and the certainty of the optimum."""
+    from maxq.design.optimise.way_out import prices  # noqa: PLC0415  # lazy, as in `case_report`
+
     c = solution.certificate
     counts = Counter(x.what for x in solution.constraints if x.active)
     active = [f"{what} ({n} points)" if n > 1 else what for what, n in counts.items()]
     active += [bound.text for bound in solution.bounds]
+    costs = [f"{one.name} costs {one.gains_db:.2g} dB per dB ({one.by})" for one in prices(solution)]
     worse = f"{c.worst_instant_db:.2g} dB" if c.worst_instant_db > 0.0 else "no"
     between = f"{c.instants} instants tried; {worse} worse than the worst operating point at most"
     between = between if c.instants else solution.unchecked
@@ -428,9 +434,30 @@ def search_rows(solution: Solution) -> list[tuple[str, str]]:
         ("ends, dB", ", ".join("-" if math.isnan(x) else f"{x:.2f}" for x in sorted(c.ends_db))),
         ("KKT residual", f"{c.kkt_residual:.1e}"),
         ("active", "; ".join(active) or "none"),
+        *([("limits", "; ".join(costs))] if costs else []),
         *([("between", between)] if between else []),
         ("effort", f"{c.evaluations} evaluations, {c.seconds:.2f} s, seed {c.seed}"),
     ]
+
+
+def sensitivity_table(solution: Solution) -> list[str]:
+    """Return the variables to which the objective and the limits are most sensitive, as lines."""
+    rows = []
+    for one in solution.sensitivities:
+        where = "" if one.time_s is None else f"{one.time_s:g} s"
+        largest = sorted(one.by, key=lambda name: -abs(one.by[name]))[:MOST_SENSITIVE]
+        said = (f"{name} {one.by[name]:+.3g} {one.changes_in}" for name in largest if one.by[name] != 0.0)
+        rows.append((one.what, where, ", ".join(said) or "none"))
+    return [SENSITIVITIES, *aligned(rows, "  ", right=(1,))] if rows else []
+
+
+def sensitivity_rows(solution: Solution) -> list[tuple[str, ...]]:
+    """Return the rows of a table of sensitivities: a row for each variable, and a column for each quantity."""
+    found = solution.sensitivities
+    heads = [one.what + ("" if one.time_s is None else f", {one.time_s:g} s") for one in found]
+    rows = [("variable", *heads), ("", *(one.changes_in for one in found))]
+    names = found[0].by if found else ()
+    return rows + [(name, *(number(one.by[name], 3) for one in found)) for name in names]
 
 
 def wind_table(outcome: DesignOutcome) -> list[str]:
@@ -555,7 +582,7 @@ def analysis_record(
 
 def case_record(outcome: DesignOutcome, solution: Solution) -> dict[str, Any]:
     """Return the record of `simdesign CASE`."""
-    from maxq.tools.design.way_out import way_out_record  # noqa: PLC0415
+    from maxq.tools.design.way_out import prices_record, way_out_record  # noqa: PLC0415
 
     case, c = outcome.loaded.case, solution.certificate
     return {
@@ -573,6 +600,8 @@ def case_record(outcome: DesignOutcome, solution: Solution) -> dict[str, Any]:
         "constraints": [asdict(x) for x in solution.constraints],
         "bounds": [asdict(x) for x in solution.bounds],
         "way_out": way_out_record(solution) if solution.status == "infeasible" else None,
+        "prices": prices_record(solution),
+        "sensitivities": [asdict(x) | {"changes_in": x.changes_in} for x in solution.sensitivities],
         "limits": checks_record([*outcome.found, *outcome.coupled_found]),
         "limits_as_flown": checks_record(outcome.flown_found),
         "limits_dispersed": checks_record(outcome.dispersed_found),

@@ -30,6 +30,7 @@ from maxq.design.laws.schedule import UnsolvableError
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
 from maxq.design.model.powered import loss_text
+from maxq.design.optimise.pareto import Aim, TradePoint, aims_of, trade_off
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.search import SearchProgress as Watch
 from maxq.design.optimise.solution import Solution
@@ -48,17 +49,20 @@ from maxq.tools.cli.terminal import Progress, aligned, tell
 from maxq.tools.design.page import DesignPage, PageTable, other_plane, titled, write_page
 from maxq.tools.design.report import (
     KINDS,
+    SENSITIVITIES,
     Group,
     case_record,
     case_report,
     comments,
     search_rows,
+    sensitivity_rows,
     uncovered_lines,
     uncovered_record,
     uncovered_table,
     wind_table,
     write_record,
 )
+from maxq.tools.design.trade import trade_sheets, trade_table, write_trade
 from maxq.tools.design.way_out import trials_text, way_out_table
 
 RECORD_NAME, PAGE_NAME = "design.json", "design.html"
@@ -87,6 +91,7 @@ def make(
     page: bool = True,
     plots: bool = False,
     orders: bool = False,
+    pareto: str | None = None,
     trials: bool = True,
 ) -> Made:
     """Optimise a case, write its files and print the result.
@@ -121,13 +126,14 @@ def make(
             if orders:
                 for stage in each_stage(loaded):
                     order_cases(stage)  # reject an option that the law does not have before the search
+            aims = None if pareto is None else _aims(pareto, loaded)
             made = design_case(loaded, shown, ready)  # Ctrl-C ends it with the best so far
         except ValidationError as error:
             said = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
             raise ScenarioError(loaded.label, said, "stage") from None
         except (UnsolvableError, ValueError) as error:
             raise ScenarioError(loaded.label, str(error)) from None
-        solved, interrupted = list[FoundDesigns](), made.interrupted
+        solved, trade, interrupted = list[FoundDesigns](), tuple[TradePoint, ...](), made.interrupted
         if trials and not interrupted:
             made, interrupted = _with_trials(made, progress, stop)
         try:
@@ -136,12 +142,25 @@ def make(
                 about = " ".join(filter(None, ("optimising", name)))
                 watch = lambda n, of, at=about: progress.show(f"{at}: orders", n, of)  # noqa: E731  # short
                 solved.append(solve_orders(order_cases(stage), mine, watch))
+            if aims is not None and not interrupted:
+                watch = lambda n, of: progress.show("tracing the trade-off", n, of)  # noqa: E731  # short
+                starts = [solution.law for _, solution in made.results]
+                trade = trade_off(made.stages[0], made.plants[0], aims, starts, watch)
         except KeyboardInterrupt:  # the design itself is complete
-            solved, interrupted = [], True
+            solved, trade, interrupted = [], (), True
+        except ValueError as error:
+            raise ScenarioError(loaded.label, str(error)) from None
         results = made.results
         with Interruption() as interruption:  # write the result even if Ctrl-C is pressed now
             forget_pictures(folder)
             files, verdict, written = _write(folder, made, solved), _verdict(made, folder), list[Path]()
+            if aims is not None and trade:
+                files += write_trade(folder, loaded, trade, aims)
+                if page:
+                    sheets = trade_sheets(trade, aims, f"Trade-off: {loaded.name}")
+                    from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: Matplotlib
+
+                    files += pictures.draw_all(sheets, folder, progress.show)
             if page and not made.interrupted:
                 progress.show("writing the page", 0, 1)
                 said = verdict.splitlines()[-1]
@@ -157,6 +176,8 @@ def make(
         tell(case_report(outcome, solution))
         if found is not None:
             tell("\n" + "\n".join(orders_table(found)))
+    if aims is not None and trade:
+        tell("\n" + "\n".join(trade_table(trade, aims)))
     tell("\nflights", *(f"  {one.text}" for one in made.rounds))
     if made.uncovered:
         tell("", *uncovered_table(loaded.scenario.vehicle, made.uncovered))
@@ -164,6 +185,14 @@ def make(
     tell(verdict + (f"; page: {written[0]}" if written else ""))
     code = Exit.INTERRUPTED if interrupted or interruption.requested else Exit.OK if made.feasible else Exit.FAILED
     return Made(code, folder, made, solved)
+
+
+def _aims(pareto: str, loaded: LoadedCase) -> tuple[Aim, Aim]:
+    """Return the objectives of --pareto. Raises ValueError for others, and for a case with several stages."""
+    aims, stages = aims_of(pareto), each_stage(loaded)
+    if len(stages) > 1 or len(loaded.scenario.vehicle.stage) > 1:
+        raise ValueError("--pareto: the vehicle has several stages; allowed is a vehicle with one stage")
+    return aims
 
 
 def _with_trials(made: CaseDesign, progress: Progress, stop: Interruption) -> tuple[CaseDesign, bool]:
@@ -215,6 +244,7 @@ def _verdict(made: CaseDesign, folder: Path) -> str:
 
 def _page(made: CaseDesign, verdict: str, command: str) -> DesignPage:
     groups, others, more, wanted = list[Group](), list[JudgedLoop](), list[PageTable](), dict[int, Wanted]()
+    slopes = list[PageTable]()
     flown, texts = list[tuple[str, Sequence[Check]]](), list[tuple[str, list[str]]]()
     vehicle = made.results[0][0].loaded.scenario.vehicle
     for outcome, solution in made.results:
@@ -225,6 +255,7 @@ def _page(made: CaseDesign, verdict: str, command: str) -> DesignPage:
         others += other_plane(outcome.judged, outcome.design, loaded.case.loop, nodes)
         wanted[_number(outcome)] = outcome.wanted
         more.append((titled("Search", stage), [(), *search_rows(solution)]))
+        slopes.append((titled(SENSITIVITIES, stage), sensitivity_rows(solution)))
         if loaded.case.loop != "sampled":
             flown.append((titled("Limits of the same design as it flies, sampled", stage), outcome.flown_found))
         for title, lines in (("Way out", way_out_table(solution)), ("In the wind of the case", wind_table(outcome))):
@@ -260,7 +291,7 @@ def _page(made: CaseDesign, verdict: str, command: str) -> DesignPage:
         ],
         gaps=uncovered_lines(vehicle, made.uncovered),
         flown=flown,
-        more=[("Search", "", more)],
+        more=[("Search", "", [*more, *slopes])],
         texts=texts,
         command=command,
     )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 from maxq.design.optimise.search import UNSETTLED
 from maxq.design.optimise.solution import ActiveBound, Constraint, Solution
-from maxq.design.optimise.way_out import conflict
+from maxq.design.optimise.way_out import Relief, conflict, prices
 from maxq.tools.cli.terminal import aligned
 
 POINTS = 3  # most operating points of a limit in a table
@@ -53,7 +54,17 @@ def trials_text(solution: Solution) -> str:
 
 def way_out_record(solution: Solution) -> dict[str, Any]:
     """Return the record of the conflict and the trials for design.json."""
-    limits = [
+    limits = _record(conflict(solution))
+    return {"missing_db": solution.violation_db, "conflict": limits, "trials": [asdict(t) for t in solution.trials]}
+
+
+def prices_record(solution: Solution) -> list[dict[str, Any]]:
+    """Return the record of the cost of each limit of a feasible design for design.json."""
+    return _record(prices(solution))
+
+
+def _record(found: Sequence[Relief]) -> list[dict[str, Any]]:
+    return [
         {
             "limit": each.name,
             "gains_db_per_db": each.gains_db,
@@ -63,9 +74,8 @@ def way_out_record(solution: Solution) -> dict[str, Any]:
                 for c in each.points
             ],
         }
-        for each in conflict(solution)
+        for each in found
     ]
-    return {"missing_db": solution.violation_db, "conflict": limits, "trials": [asdict(t) for t in solution.trials]}
 
 
 def _trials(solution: Solution, settings: bool = False) -> list[str]:

@@ -1,0 +1,135 @@
+"""The assessment of a case's hard goals on the loops of a design, independent of the optimiser.
+
+Templates are assessed on a dense grid of frequencies with refined extremes, step responses by simulation of the closed
+loop in state space, and functions at their frequencies.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from maxq.control.kernel.records import Array
+from maxq.design.case.goals import TRANSFERS, GoalSection
+from maxq.design.laws.law import ANGLES
+from maxq.design.laws.task import DB
+from maxq.design.loop.loop import Loop
+from maxq.design.loop.own_part import NEAREST_NYQUIST
+from maxq.design.margins.measured_loop import LoopAtPoint
+from maxq.design.margins.solving import vertex
+from maxq.design.optimise.response_goals import LoopValues, function_of
+from maxq.design.quantities import STEPS, Convention
+
+PER_SEGMENT = 800  # frequencies of a template's segment, in addition to those around resonances
+FUNCTION_POINTS = 400
+
+
+def transfers(loop: Loop, frequencies_hz: Array) -> dict[str, Array]:
+    """Return |S|, |T|, |KS| and |L| of a loop in dB, each in the shape of the frequencies."""
+    value, law = loop.response(frequencies_hz), loop.controller(frequencies_hz)
+    s = -DB * np.log(np.abs(1.0 + value))
+    gain = DB * np.log(np.abs(value))
+    return {"S": s, "T": gain + s, "KS": DB * np.log(np.abs(law)) + s, "L": gain}
+
+
+def over_template_db(loop: Loop, goal: GoalSection) -> float:
+    """Return the largest excess of a loop over an upper template, or below a lower one, dB.
+
+    The excess is -inf if the template has no frequency below the Nyquist frequency.
+    """
+    points, sign = goal.template
+    x, db = np.log([hz for hz, _ in points]), np.array([level for _, level in points])
+    top = math.log(min(NEAREST_NYQUIST * loop.highest_hz, math.exp(x[-1])))
+    grid = [np.linspace(a, b, PER_SEGMENT) for a, b in pairwise(x)]
+    spread = np.sinh(np.linspace(-4.0, 4.0, 81))
+    for r in loop.fixed.resonances():
+        around = r.centre_hz + r.half_width_hz * spread
+        grid.append(np.log(around[around > 0.0]))
+    at = np.unique(np.concatenate(grid))
+    at = at[(at >= x[0]) & (at <= top)]
+    if not len(at):
+        return -math.inf
+    value = sign * (transfers(loop, np.exp(at))[goal.quantity] - np.interp(at, x, db))
+    best, k = float(value.max()), np.arange(1, len(at) - 1)
+    k = k[(value[k] >= value[k - 1]) & (value[k] >= value[k + 1])]
+    if len(k):
+        around = k + np.arange(-1, 2)[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            where, _ = vertex(*at[around], *value[around])
+        where = where[np.isfinite(where) & (where > x[0]) & (where < top)]
+        refined = sign * (transfers(loop, np.exp(where))[goal.quantity] - np.interp(where, x, db))
+        best = max(best, float(refined.max(initial=-math.inf)))
+    return best
+
+
+def step_responses(loop: Loop, until_s: float) -> dict[str, Array]:
+    """Return the samples (count,) of attitude and gimbal command after a unit step, by simulation of the closed loop.
+
+    `attitude` and `gimbal` follow a step of the commanded attitude, and `offset` is the attitude after a step of the
+    gimbal offset. Raises ValueError for a continuous loop.
+    """
+    if loop.sample_s is None:
+        raise ValueError("a step response is that of the sampled loop: allowed is the kind sampled")
+    inputs = loop.law.inputs
+    measured = (*inputs, *(() if ANGLES[0] in inputs else ANGLES[:1]))
+    path, law = loop.fixed.measured(measured), loop.law.state_space()
+    count, n = math.ceil(until_s / loop.sample_s - 1e-9) + 1, len(path.a)
+    angle, out = measured.index(ANGLES[0]), {"attitude": [], "gimbal": [], "offset": []}
+    for commanded, offset in ((1.0, 0.0), (0.0, 1.0)):
+        x, held, summed = np.zeros(n), np.zeros(len(law.a)), 0.0
+        for _ in range(count):
+            y = path.c @ x  # the path has no direct feedthrough
+            summed += commanded * loop.sample_s
+            error = y[: len(inputs)].copy()
+            for k, name in enumerate(inputs):
+                error[k] -= {ANGLES[0]: commanded, ANGLES[1]: summed}.get(name, 0.0)
+            command = -float((law.c @ held + law.d @ error)[0])
+            held = law.a @ held + law.b @ error
+            x = path.a @ x + path.b[:, 0] * (command + offset)
+            if commanded:
+                out["attitude"].append(y[angle])
+                out["gimbal"].append(command)
+            else:
+                out["offset"].append(y[angle])
+    return {name: np.array(values) for name, values in out.items()}
+
+
+_OF_STEP: dict[str, tuple[str, Callable[[Array], Array]]] = {
+    "overshoot_pct": ("attitude", lambda y: 100.0 * (y - 1.0)),
+    "settling_pct": ("attitude", lambda y: 100.0 * np.abs(y - 1.0)),
+    "gimbal_peak": ("gimbal", np.abs),
+    "offset_peak": ("offset", np.abs),
+}
+
+
+def goal_value(one: LoopAtPoint, goal: GoalSection) -> float:
+    """Return the value of a goal on a loop; for a template, the largest excess over it, dB. NaN if it is unstable."""
+    if not one.margins.stable:
+        return math.nan
+    loop = one.loop
+    if goal.quantity in TRANSFERS:
+        return over_template_db(loop, goal)
+    if goal.quantity in STEPS:
+        response, measure = _OF_STEP[goal.quantity]
+        samples = measure(step_responses(loop, goal.until_s)[response])
+        return float(samples[math.ceil((goal.after_s or 0.0) / (loop.sample_s or 1.0) - 1e-9) :].max())
+    if goal.quantity == "function":
+        top = min(goal.band_hz[1], NEAREST_NYQUIST * loop.highest_hz)
+        hz = np.geomspace(goal.band_hz[0], top, FUNCTION_POINTS)
+        value = loop.response(hz)
+        return float(np.real(function_of(goal.function or "")(LoopValues(one.time_s, hz, value.real, value.imag))))
+    assert goal.about.value is not None
+    return goal.about.value(one, Convention())
+
+
+def goal_limit(goal: GoalSection) -> float:
+    """Return the limit of the values of `goal_value`."""
+    return 0.0 if goal.quantity in TRANSFERS else goal.limit or 0.0
+
+
+def hard_goals(goals: Sequence[GoalSection], dispersed: bool = False) -> list[GoalSection]:
+    """Return the goals that are limits, or those that also apply to dispersed plants."""
+    return [one for one in goals if one.hard and (one.dispersed or not dispersed)]
