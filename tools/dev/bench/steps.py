@@ -34,10 +34,6 @@ IDEAL = ("switches.converter=ideal", "switches.roll_control=false", "vehicle.com
 ACTUATOR = "vehicle.stage.0.actuator"
 CASES = {
     "KSR-III": ("nominal", ("run.duration_s=59",)),
-    "KSR-III, mode 3 at 60 Hz": (
-        "nominal", ("run.duration_s=59",
-                    "vehicle.stage.0.bending.frequency_factor=[1.0, 1.0, 1.2]"),
-    ),
     "KSR-III, actuator of 100 Hz": (
         "nominal", ("run.duration_s=59", f"{ACTUATOR}.omega_hz.2=100.0"),
     ),
