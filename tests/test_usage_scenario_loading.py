@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from pydantic import ValidationError
 from scenario_files import ASCENT, TABLES, write_ascent, write_free
 
 from maxq import LoadedScenario, ScenarioError, builtin_names
+from maxq.sim.input import toml_columns
 from maxq.sim.input.documents import Source, parse
 from maxq.sim.input.files import builtin_files, scenarios_folder
 from maxq.sim.input.values import is_whole_ns, period_ns, to_ns
@@ -503,6 +505,37 @@ def test_documents_of_one_text_are_independent() -> None:
     document["a"].append(2)
     document["b"]["c"] = 2
     assert parse(text, Source("another")) == {"a": [1], "b": {"c": 1}}
+
+
+LONG = ", ".join(f"{0.37 * k - 9.0!r}, {-k}, {k}e-{k}" for k in range(40))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"before = 1\na = [{LONG}]\n[t]\nb = [{LONG}, 7]\n[[u]]\nc = [{LONG}]\n[[u]]\nc = [[{LONG}], [{LONG}]]\n",
+        f'a = """\nb = [{LONG}]\n"""\n',
+        f"a = '''\nb = [{LONG}]\n'''\n",
+        f"a = [{LONG}, 1979-05-27]\nb = [{LONG}, 1_000, +3, inf, 0x1F]\n",
+        f"# a = [{LONG}]\nb = [{LONG}]  # of c\n'a.b' = [{LONG}]\n",
+        f'a = "\ue0000"\nb = [{LONG}]\n',
+        f"a = [{LONG}]\na = [{LONG}]\n",
+        f"a = [{LONG}, 01]\n",
+        f"a = [{LONG}, ]]\n",
+        f"a = [{LONG}]\nb = \n",
+        f"a = [\nb = [{LONG}]\n]\n",
+    ],
+)
+def test_long_columns_are_read_as_by_tomllib(text: str) -> None:
+    """Values and types, or the error with line and column, equal those of tomllib."""
+
+    def read(loads: Callable[[str], object]) -> str:
+        try:
+            return repr(loads(text))
+        except tomllib.TOMLDecodeError as error:
+            return str(error)
+
+    assert read(toml_columns.loads) == read(tomllib.loads)
 
 
 def test_loading_is_quick_and_compiles_nothing(ascent: Path) -> None:

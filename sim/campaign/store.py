@@ -14,7 +14,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +32,7 @@ from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import LoadedCampaign, campaign_from, description_of
 from maxq.sim.campaign.runs import Row, history_table, schema_of, table_of
 from maxq.sim.files import cannot_write, reason, whole_file, write_whole
+from maxq.sim.input import toml_columns
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.record import versions
 
@@ -300,7 +300,7 @@ def campaign_in(folder: Path) -> LoadedCampaign:
 def differences(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
     """Return a text for each difference between two descriptions that has an effect on flights or draws."""
     old, new = (
-        _flat(tomllib.loads(content["scenario"]))
+        _flat(toml_columns.loads(content["scenario"]))
         | _flat({part: content.get(part) for part in ("campaign", "disperse", "wind_model", "tables", "simulator")})
         for content in (before, now)
     )

@@ -14,6 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from maxq.sim.input import toml_columns
 from maxq.sim.input.errors import Path as KeyPath
 from maxq.sim.input.errors import ScenarioError, show_value, suggestion
 
@@ -66,6 +67,9 @@ class _Sourced:
         self.sources: dict[str | int, Source] = {}
 
 
+_NUMBERS = {bool, int, float}
+
+
 class TomlTable(_Sourced, dict[str, Any]):
     """A TOML table."""
 
@@ -82,7 +86,7 @@ def adopt(value: Any, source: Source) -> Any:
         return table
     if isinstance(value, list):
         array = TomlArray(source)
-        array.extend(adopt(item, source) for item in value)
+        array.extend(value if _NUMBERS.issuperset(map(type, value)) else (adopt(item, source) for item in value))
         return array
     if isinstance(value, str):
         return Text.of(value, source)
@@ -97,7 +101,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list):
-        return tuple(plain(item) for item in value)
+        return tuple(value if _NUMBERS.issuperset(map(type, value)) else (plain(item) for item in value))
     return value
 
 
@@ -117,7 +121,7 @@ def _document(text: str) -> dict[str, Any]:
 
     A suite reads the same files for each of its flights, and parsing takes most of the time of a small file.
     """
-    return tomllib.loads(text)
+    return toml_columns.loads(text)
 
 
 def _quoted(text: str, reason: str) -> str:

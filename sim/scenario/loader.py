@@ -257,10 +257,18 @@ def _bring_in(reading: Reading, tree: TomlTable, part: str) -> None:
 
 def _refuse_huge_numbers(tree: TomlTable) -> None:
     """Reject numbers so large that the checks of the schema could overflow."""
+    if not _holds_huge_number(tree):
+        return
     for path, value in walk(tree):
-        if isinstance(value, int | float) and LARGEST_NUMBER < abs(value) < math.inf:
+        if _holds_huge_number(value):
             allowed = f"numbers up to {LARGEST_NUMBER:g}"
             raise source_of(tree, path).error(path, "is too large", value=value, allowed=allowed)
+
+
+def _holds_huge_number(value: Any) -> bool:
+    if isinstance(value, dict | list):
+        return any(map(_holds_huge_number, value.values() if isinstance(value, dict) else value))
+    return isinstance(value, int | float) and LARGEST_NUMBER < abs(value) < math.inf
 
 
 def copy_scenario(name: str, folder: str | Path) -> Path:
