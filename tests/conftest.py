@@ -2,7 +2,7 @@
 
 Hypothesis tries the same examples in every run, or new ones with MAXQ_EXAMPLES=random. Ctrl-C is enabled again for the
 commands under test: a shell disables it in background jobs and their children. The texts of every figure that a test
-saves are checked.
+saves are checked. Verification packs are not printed as PDF.
 """
 
 from __future__ import annotations
@@ -87,3 +87,10 @@ def _pictures_read_well(request: pytest.FixtureRequest, monkeypatch: pytest.Monk
     yield
     if request.node.get_closest_marker("crowded") is None:
         assert not found
+
+
+@pytest.fixture(autouse=True)
+def _packs_are_not_printed(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Find no browser in tests of simverify, which takes more than a second for each pack that it prints."""
+    if "verify" in request.module.__name__:
+        monkeypatch.setattr("maxq.tools.verify.report.BROWSERS", ())

@@ -109,6 +109,11 @@ def _differs(said: str) -> list[str]:
     return [line.strip().removeprefix("DIFFERS: ") for line in said.splitlines() if "DIFFERS" in line]
 
 
+@pytest.mark.skipif(not any(map(shutil.which, ("chromium", "google-chrome"))), reason="no browser")
+def test_a_browser_prints_the_pack(made: Path) -> None:
+    assert (made / "pack" / "review.pdf").read_bytes()[:5] == b"%PDF-"
+
+
 @pytest.mark.slow
 def test_an_honest_pack_agrees_in_all_that_is_computed_again(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, said = _run(capsys, "--check", "pack", "--sample", "99")
