@@ -35,6 +35,7 @@ from maxq.tools.vehicle.build import build, burning, least_rigid_hz, m_alpha_1ps
 from maxq.tools.vehicle.figures import page
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import Layout, LayoutEngines, read_layout
+from maxq.tools.vehicle.linear_curve import LinearCurve
 from maxq.tools.vehicle.masses import Rod, stacks
 from maxq.tools.vehicle.trajectory import Orbit, ascent
 from maxq.tools.vehicle.trajectory import _level as level_ascent
@@ -459,6 +460,19 @@ def test_the_vehicle_flies_the_point_mass_s_path_to_orbit(tmp_path: Path, built)
     e = np.linalg.norm(np.cross(v, momentum) / mu - r / np.linalg.norm(r))
     perigee_km = (momentum @ momentum / mu / (1.0 + e) - 6378137.0) / 1e3
     assert perigee_km == pytest.approx(250.0, abs=15.0)
+
+
+@pytest.mark.parametrize("rows", [2, 3, 5, 40])
+def test_a_line_has_the_bits_of_numpy(rows):
+    """Between rows, at them, at steps (rows of one time), outside, and for a number that is none."""
+    rng = np.random.default_rng(rows)
+    x, y = np.sort(rng.uniform(-3.0, 90.0, rows)), rng.normal(0.0, 1e5, rows)
+    x[1::7] = x[::7][: len(x[1::7])]
+    at = [*rng.uniform(-20.0, 110.0, 500), *x, math.inf, -math.inf, math.nan]
+    line = LinearCurve(x, y)
+    found = [line(value) for value in at]
+    assert {type(value) for value in found} == {float}
+    assert np.array_equal(found, [np.interp(value, x, y) for value in at], equal_nan=True)
 
 
 def test_the_pitch_over_of_an_ascent_is_rounded_and_the_tangents_follow():

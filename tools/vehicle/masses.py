@@ -24,6 +24,7 @@ from maxq.tools.vehicle.layout import (
     LayoutTank,
     LayoutThrust,
 )
+from maxq.tools.vehicle.linear_curve import LinearCurve
 
 _RAMP_ROWS, _STEADY_ROWS = 9, 20
 _LEAST_LENGTH_m = 1e-4  # least length of a burned grain
@@ -96,6 +97,10 @@ class ThrustCurve:
         return PchipInterpolator(self.times_s, self.thrust_N)
 
     @cached_property
+    def _line(self) -> LinearCurve:
+        return LinearCurve(self.times_s, self.thrust_N)
+
+    @cached_property
     def _impulse(self) -> PchipInterpolator:
         return self._thrust.antiderivative()
 
@@ -127,7 +132,7 @@ class ThrustCurve:
             return 0.0
         if self.given and t < self.end_s:  # at the end, rounding would leave a thrust of 1e-11 N
             return float(self._thrust(t))
-        return float(np.interp(t, self.times_s, self.thrust_N))
+        return self._line(t)
 
     def used(self, t: float) -> float:
         """Return the share of the usable propellant burned by time `t` (s), from 0 to exactly 1."""

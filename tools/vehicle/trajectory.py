@@ -27,6 +27,7 @@ from maxq.sim.world.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K, TOP_m, us
 from maxq.sim.world.thermosphere import upper_air
 from maxq.tools.vehicle.aerodynamics import Aerodynamics
 from maxq.tools.vehicle.layout import Layout
+from maxq.tools.vehicle.linear_curve import LinearCurve
 from maxq.tools.vehicle.masses import Stack, without_fairing
 
 STEERING_BLEND_s = 15.0  # from the attitude of the gravity turn to that of the tangent law
@@ -154,6 +155,15 @@ class _Model:
         return out
 
     @cached_property
+    def _mass(self) -> list[LinearCurve]:
+        return [LinearCurve(*table) for table in self.masses]
+
+    @cached_property
+    def _axial(self) -> list[tuple[LinearCurve, LinearCurve]]:
+        """Return the axial coefficients of each stack over Mach number, under thrust and without."""
+        return [(LinearCurve(a.mach, a.axial), LinearCurve(a.mach, a.axial_coast)) for a in self.aero]
+
+    @cached_property
     def steering_s(self) -> tuple[float, float]:
         """Return the flight times at which the steering of the upper stages begins and ends."""
         first, *upper = [s for s in self.stacks if s.leave_s is None]  # the last part of each stage
@@ -170,7 +180,8 @@ class _Model:
         stack, aero = self.stacks[n], self.aero[n]
         burns = stack.burn.thrust_vacuum_N(t) > 0.0
         thrust, steered = stack.thrusts_N(t, pressure)
-        coefficient = float(np.interp(mach, aero.mach, aero.axial if burns else aero.axial_coast))
+        powered, coasting = self._axial[n]
+        coefficient = powered(mach) if burns else coasting(mach)
         return thrust, steered, q * aero.area_m2 * coefficient, q, mach
 
     def incidence(self, n: int, time_s: float, path: float) -> float:
@@ -185,7 +196,7 @@ class _Model:
     def rate(self, n: int, begin_s: float, dropped_kg: float, t: float, y: Sequence[float]) -> TrajectoryState:
         reach, altitude, speed, path = y
         thrust, _, drag, _, _ = self.acts(n, t, altitude, speed)
-        mass = float(np.interp(t, *self.masses[n])) - dropped_kg
+        mass = self._mass[n](t) - dropped_kg
         place, incidence = self.place, self.incidence(n, begin_s + t, path)
         radius = place.radius_m + altitude
         gravity = place.gravity_mps2(radius, reach / place.radius_m) - place.spin_radps**2 * radius
