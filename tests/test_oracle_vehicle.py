@@ -35,7 +35,7 @@ from maxq.tools.vehicle.build import build, burning, least_rigid_hz, m_alpha_1ps
 from maxq.tools.vehicle.figures import page
 from maxq.tools.vehicle.files import write
 from maxq.tools.vehicle.layout import Layout, LayoutEngines, read_layout
-from maxq.tools.vehicle.line import Line
+from maxq.tools.vehicle.linear_curve import LinearCurve
 from maxq.tools.vehicle.masses import Rod, stacks
 from maxq.tools.vehicle.trajectory import Orbit, ascent
 from maxq.tools.vehicle.trajectory import _level as level_ascent
@@ -469,7 +469,7 @@ def test_a_line_has_the_bits_of_numpy(rows):
     x, y = np.sort(rng.uniform(-3.0, 90.0, rows)), rng.normal(0.0, 1e5, rows)
     x[1::7] = x[::7][: len(x[1::7])]
     at = [*rng.uniform(-20.0, 110.0, 500), *x, math.inf, -math.inf, math.nan]
-    line = Line(x, y)
+    line = LinearCurve(x, y)
     found = [line(value) for value in at]
     assert {type(value) for value in found} == {float}
     assert np.array_equal(found, [np.interp(value, x, y) for value in at], equal_nan=True)

@@ -24,7 +24,7 @@ from maxq.tools.vehicle.layout import (
     LayoutTank,
     LayoutThrust,
 )
-from maxq.tools.vehicle.line import Line
+from maxq.tools.vehicle.linear_curve import LinearCurve
 
 _RAMP_ROWS, _STEADY_ROWS = 9, 20
 _LEAST_LENGTH_m = 1e-4  # least length of a burned grain
@@ -97,8 +97,8 @@ class ThrustCurve:
         return PchipInterpolator(self.times_s, self.thrust_N)
 
     @cached_property
-    def _line(self) -> Line:
-        return Line(self.times_s, self.thrust_N)
+    def _line(self) -> LinearCurve:
+        return LinearCurve(self.times_s, self.thrust_N)
 
     @cached_property
     def _impulse(self) -> PchipInterpolator:

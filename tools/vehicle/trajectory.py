@@ -27,7 +27,7 @@ from maxq.sim.world.atmosphere import HEAT_RATIO, GAS_CONSTANT_Jpkg_K, TOP_m, us
 from maxq.sim.world.thermosphere import upper_air
 from maxq.tools.vehicle.aerodynamics import Aerodynamics
 from maxq.tools.vehicle.layout import Layout
-from maxq.tools.vehicle.line import Line
+from maxq.tools.vehicle.linear_curve import LinearCurve
 from maxq.tools.vehicle.masses import Stack, without_fairing
 
 STEERING_BLEND_s = 15.0  # from the attitude of the gravity turn to that of the tangent law
@@ -155,13 +155,13 @@ class _Model:
         return out
 
     @cached_property
-    def _mass(self) -> list[Line]:
-        return [Line(*table) for table in self.masses]
+    def _mass(self) -> list[LinearCurve]:
+        return [LinearCurve(*table) for table in self.masses]
 
     @cached_property
-    def _axial(self) -> list[tuple[Line, Line]]:
+    def _axial(self) -> list[tuple[LinearCurve, LinearCurve]]:
         """Return the axial coefficients of each stack over Mach number, under thrust and without."""
-        return [(Line(a.mach, a.axial), Line(a.mach, a.axial_coast)) for a in self.aero]
+        return [(LinearCurve(a.mach, a.axial), LinearCurve(a.mach, a.axial_coast)) for a in self.aero]
 
     @cached_property
     def steering_s(self) -> tuple[float, float]:

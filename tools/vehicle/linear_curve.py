@@ -7,7 +7,7 @@ from bisect import bisect_right
 from collections.abc import Iterable
 
 
-class Line:
+class LinearCurve:
     """A function of single numbers that is linear between points and constant outside them.
 
     It gives the same bits as `np.interp`, in a fifth of its time. There are at least two points, and their `x` do not
