@@ -92,9 +92,9 @@ def radii_m(radius_m: float, flattening: float, latitude_rad: float) -> tuple[fl
 def prediction_ellipse(east_m: Array, north_m: Array, level: float = LEVEL) -> tuple[tuple[float, float], float]:
     """Return the semi-axes, m, and the azimuth of the major axis, deg, of a normal prediction ellipse about the mean.
 
-    The next point of the same normal distribution is inside with probability `level`. With the sample covariance of n
-    points, the squared Mahalanobis distance of a new point is 2 (n^2 - 1) / (n (n - 2)) times an F(2, n - 2) variate
-    (Johnson and Wichern, Applied Multivariate Statistical Analysis, section 5.4). nan for fewer than three points.
+    The next point of the same normal distribution is inside with probability `level`. Its squared Mahalanobis distance
+    by the sample covariance of n points is 2 (n^2 - 1) / (n (n - 2)) times an F(2, n - 2) variate. Source: Johnson and
+    Wichern, Applied Multivariate Statistical Analysis, section 5.4. nan for fewer than three points.
     """
     n = len(east_m)
     if n < _FEWEST:
