@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -93,6 +96,28 @@ def test_the_page_shows_the_zone(data: DataSet) -> None:
     assert "drag, m / (C_D A) = 500 kg/m2" in page
     columns = (data.folder / "figures" / "drops.csv").read_text().splitlines()
     assert sum(row.startswith("first,runs,") for row in columns) == 4
+
+
+def test_the_zone_is_an_area_of_the_map(data: DataSet, tmp_path: Path) -> None:
+    """Its points are those of the data set, and the ring is an ellipse about them."""
+    files = str(tmp_path / "z.kml"), str(tmp_path / "z.geojson")
+    assert simrun.main(["export", str(data.folder), "--kml", files[0], "--geojson", files[1]]) == 0
+    zone, *drops = json.loads(Path(files[1]).read_text())["features"]
+    table = data.to_pandas("drop_1_latitude_deg", "drop_1_longitude_deg")
+    wanted = table[["drop_1_longitude_deg", "drop_1_latitude_deg"]].to_numpy()
+    assert np.abs(np.array([f["geometry"]["coordinates"] for f in drops]) - wanted).max() < 1e-7
+    assert zone["geometry"]["type"] == "Polygon"
+    (ring,) = np.array(zone["geometry"]["coordinates"])
+    assert ring[0].tolist() == ring[-1].tolist()
+    x, y = (ring - ring[0]).T
+    assert np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]) > 0.0  # anticlockwise: RFC 7946
+    (found,) = drop_zones(data)
+    assert np.ptp(y) / 2 * 110_930.0 == pytest.approx(np.ptp(found.outline_m()[:, 1]) / 2, rel=0.01)  # m per deg
+    root = ElementTree.parse(files[0]).getroot()
+    (drawn,) = root.iterfind(".//{*}Polygon/{*}outerBoundaryIs/{*}LinearRing/{*}coordinates")
+    assert drawn.text is not None
+    assert np.array_equal([[float(v) for v in p.split(",")] for p in drawn.text.split()], ring)
+    assert simrun.main(["export", str(data.folder), "--csv", str(tmp_path / "z.csv")]) == 2
 
 
 def test_the_ellipse_contains_the_next_point_as_often_as_it_states() -> None:

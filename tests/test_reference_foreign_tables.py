@@ -15,7 +15,7 @@ import tomli_w
 from pydantic_core import PydanticCustomError
 
 from maxq import ScenarioError
-from maxq.sim.input.foreign import read_datcom, read_rasp
+from maxq.sim.input.foreign import read_datcom, read_drag_curve, read_rasp, read_rse
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simvehicle
 from maxq.tools.vehicle.build import build, burning, m_alpha_1ps2
@@ -90,6 +90,71 @@ def test_a_rasp_motor_is_a_table_of_thrust() -> None:
 def test_broken_motors_are_refused(text: str, says: str) -> None:
     with pytest.raises(PydanticCustomError, match=says):
         read_rasp(text, "motor.eng", "motor.eng")
+
+
+ROCKSIM = """\
+<?xml version="1.0"?>
+<engine-database><engine-list>
+<engine code="M2500" mfg="Maker" dia="98." len="800." initWt="520000." propWt="400000." Type="single-use">
+<comments>a made-up motor</comments>
+<data>
+<eng-data cg="400." f="0." m="400000." t="0."/>
+<eng-data cg="400." f="60000." m="399000." t="0.05"/>
+<eng-data cg="400." f="50000." m="280000." t="2."/>
+<eng-data cg="400." f="44000." m="1000." t="18."/>
+<eng-data cg="400." f="0." m="0." t="20."/>
+</data>
+</engine>
+</engine-list></engine-database>
+"""
+
+
+def test_a_rocksim_motor_is_the_table_of_the_same_rasp_motor() -> None:
+    table, rasp = read_rse(ROCKSIM, "motor.rse", "motor.rse"), read_rasp(MOTOR, "motor.eng", "motor.eng")
+    for name in ("time_s", "thrust_vacuum_N", "mass_flow_kgps"):
+        assert table[name].tolist() == pytest.approx(rasp[name].tolist(), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (MOTOR, "is not XML"),
+        ("<engine-database/>", "holds no engine"),
+        (ROCKSIM.replace('propWt="400000."', ""), "the engine cannot be read"),
+        (ROCKSIM.replace('f="50000."', 'f="x"'), "the engine cannot be read"),
+        (ROCKSIM.replace('<eng-data cg="400." f="0." m="0." t="20."/>', ""), "the thrust does not end at 0"),
+    ],
+)
+def test_broken_rocksim_motors_are_refused(text: str, says: str) -> None:
+    with pytest.raises(PydanticCustomError, match=says):
+        read_rse(text, "motor.rse", "motor.rse")
+
+
+@pytest.mark.parametrize("parting", [",", " ; ", "\t"])
+def test_a_drag_curve_needs_no_names_of_columns(parting: str) -> None:
+    text = f"# RocketPy\n0.0{parting}0.42\n1.05{parting}.7\n\n3{parting}3.1e-1\n"
+    table = read_drag_curve(text, "drag.csv", "drag.csv")
+    assert table is not None
+    assert list(table.columns) == ["mach", "CD"]
+    assert (table["mach"].tolist(), table["CD"].tolist()) == ([0.0, 1.05, 3.0], [0.42, 0.7, 0.31])
+    assert read_drag_curve("mach,CD\n0,0.4\n", "drag.csv", "") is None
+    assert read_drag_curve("0,0.4,1\n", "drag.csv", "") is None
+    with pytest.raises(PydanticCustomError, match="is not two numbers"):
+        read_drag_curve(text + "4, x\n", "drag.csv", "")
+
+
+def test_a_vehicle_reads_a_drag_curve_and_a_rocksim_motor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "drag.csv").write_text("0.0,0.42\n2.0,0.5\n")
+    (tmp_path / "motor.rse").write_text(ROCKSIM)
+    changes = ["vehicle.stage.0.aero.table=drag.csv", "vehicle.stage.0.engine.table=motor.rse"]
+    stage = load_scenario("checkcases/two-stage", changes).scenario.vehicle.stage[0]
+    assert stage.aero is not None
+    assert stage.aero.table["CD"].tolist() == [0.42, 0.5]
+    assert stage.own_engines[0].table["time_s"].tolist() == [0.0, 0.05, 2.0, 18.0, 20.0]
+    (tmp_path / "drag.csv").write_text("2.0,0.5\n0.0,0.42\n")
+    with pytest.raises(ScenarioError, match=r"drag\.csv.*line 2"):
+        load_scenario("checkcases/two-stage", changes)
 
 
 def test_datcom_pages_of_the_whole_configuration_count() -> None:

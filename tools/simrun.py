@@ -265,7 +265,11 @@ def _add_export(parser: Parser) -> None:
 """
     about = "Export a flown flight (tables, maps, orbit messages), or a scenario as a unit for co-simulation"
     export = parser.command("export", about, examples, _export)
-    export.option("LOG|SCENARIO", "log (.mcap) or its folder; for --fmu a scenario (.toml, or built-in)", dest="place")
+    export.option(
+        "LOG|SCENARIO",
+        "log (.mcap) or its folder; folder of a campaign for its drop zones; for --fmu a scenario (.toml, or built-in)",
+        dest="place",
+    )
     flight = [f"--{kind}" for kind in _FLIGHT_FILES]
     for kind, text in _FLIGHT_FILES.items():
         export.option(f"--{kind} FILE", text, without=["--fmu"])

@@ -14,6 +14,7 @@ from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.drops import DROP_COLUMNS, drop_columns
 from maxq.sim.packing.environment import pack_earth
 from maxq.sim.run.impact_channels import dropped_body
+from maxq.sim.world.earth import Earth
 
 LEVEL = 0.99
 """The probability that the next drop point is in the ellipse of a zone."""
@@ -41,6 +42,7 @@ class DropZone:
     runs: Array
     axes_m: tuple[float, float]
     azimuth_deg: float
+    earth: Earth
 
     def outline_m(self, corners: int = 73) -> Array:
         """Return points (corners, 2) east and north on the ellipse, m."""
@@ -58,9 +60,7 @@ def drop_zones(data: DataSet) -> list[DropZone]:
     if not names or not data.parts:
         return []
     data.read(names)
-    radius_m, flattening = (
-        float(x) for x in (pack_earth(scenario.earth).equatorial_radius_m, pack_earth(scenario.earth).flattening)
-    )
+    earth = pack_earth(scenario.earth)
     found = []
     for n in range(1, len(scenario.vehicle.stage)):
         latitude, longitude = (data.numbers(name.format(n)) for name in DROP_COLUMNS[:2])
@@ -73,12 +73,14 @@ def drop_zones(data: DataSet) -> list[DropZone]:
         offset_deg = np.mod(longitude[known] - middle_deg + 180.0, 360.0) - 180.0
         middle_deg, offset_deg = middle_deg + float(offset_deg.mean()), offset_deg - offset_deg.mean()
         mean_deg = float(latitude[known].mean())
-        east_per_rad, north_per_rad = radii_m(radius_m, flattening, math.radians(mean_deg))
+        east_per_rad, north_per_rad = radii_m(earth.equatorial_radius_m, earth.flattening, math.radians(mean_deg))
         east = east_per_rad * np.radians(offset_deg)
         north = north_per_rad * np.radians(latitude[known] - mean_deg)
         axes, azimuth = prediction_ellipse(east, north)
         model = "vacuum" if body.ballistic_kgpm2 is None else f"drag, m / (C_D A) = {body.ballistic_kgpm2:g} kg/m2"
-        found.append(DropZone(n, body.name, model, mean_deg, middle_deg, east, north, data.runs[known], axes, azimuth))
+        found.append(
+            DropZone(n, body.name, model, mean_deg, middle_deg, east, north, data.runs[known], axes, azimuth, earth)
+        )
     return found
 
 
@@ -92,9 +94,9 @@ def radii_m(radius_m: float, flattening: float, latitude_rad: float) -> tuple[fl
 def prediction_ellipse(east_m: Array, north_m: Array, level: float = LEVEL) -> tuple[tuple[float, float], float]:
     """Return the semi-axes, m, and the azimuth of the major axis, deg, of a normal prediction ellipse about the mean.
 
-    The next point of the same normal distribution is inside with probability `level`. With the sample covariance of n
-    points, the squared Mahalanobis distance of a new point is 2 (n^2 - 1) / (n (n - 2)) times an F(2, n - 2) variate
-    (Johnson and Wichern, Applied Multivariate Statistical Analysis, section 5.4). nan for fewer than three points.
+    The next point of the same normal distribution is inside with probability `level`. Its squared Mahalanobis distance
+    by the sample covariance of n points is 2 (n^2 - 1) / (n (n - 2)) times an F(2, n - 2) variate. Source: Johnson and
+    Wichern, Applied Multivariate Statistical Analysis, section 5.4. nan for fewer than three points.
     """
     n = len(east_m)
     if n < _FEWEST:

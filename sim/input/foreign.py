@@ -4,6 +4,11 @@ RASP engine files (.eng) have comments after a semicolon and a header: name, dia
 kg, total kg, manufacturer. Times in s and thrusts in N follow. The first point (0, 0) is implied, and the last thrust
 is 0. The thrust is a measurement, usually at ground level. Only the first motor of a file is read.
 
+RockSim engine files (.rse) are XML: engine-database, engine-list, engine with propWt (propellant, g), data, and
+eng-data with t (s) and f (N). They are read like RASP files; masses and centre of gravity over time are ignored.
+
+Drag curves of RocketPy and OpenRocket are lines of a Mach number and a drag coefficient, without a line of names.
+
 Missile DATCOM output (for006.dat; W. B. Blake, AFRL-VA-WP-TR-1998-3009) has pages "STATIC AERODYNAMICS FOR ..." with
 MACH NO and columns ALPHA, CN, CM, CA, CY, CLN, CLL. For each Mach number the last page is read, that of the whole
 configuration. Area, lengths and moment centre of the run must be those of the vehicle file.
@@ -12,6 +17,7 @@ configuration. Area, lengths and moment centre of the run must be those of the v
 from __future__ import annotations
 
 import re
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -53,18 +59,68 @@ def read_rasp(text: str, name: str, shown: str) -> CsvTable:
             break
     else:
         raise refuse("the thrust does not end at 0", "a last line with thrust 0", file=shown)
+    return _thrust(points, propellant_kg, name, shown, tuple(places))
+
+
+def read_rse(text: str, name: str, shown: str) -> CsvTable:
+    """Return the thrust and the mass flow of the first motor, as `read_rasp` does.
+
+    Raises the refusal of the schema for a file that is no RockSim engine file, or without an end at zero thrust.
+    """
+    allowed = "a RockSim engine file: engine with propWt (g), and eng-data with t (s) and f (N)"
+    try:
+        engine = ElementTree.fromstring(text).find(".//engine")
+    except ElementTree.ParseError as error:
+        raise refuse("is not XML", allowed, file=shown, place=f"line {error.position[0]}") from None
+    if engine is None:
+        raise refuse("holds no engine", allowed, file=shown)
+    try:
+        propellant_kg = 1e-3 * float(engine.attrib["propWt"])
+        found = [(float(data.attrib["t"]), float(data.attrib["f"])) for data in engine.iter("eng-data")]
+    except (KeyError, ValueError) as error:
+        raise refuse(f"the engine cannot be read ({error})", allowed, file=shown) from None
+    points = [(0.0, 0.0), *(point for point in found if point[0] > 0.0)]
+    if len(points) < 3 or points[-1][1] != 0.0:
+        raise refuse("the thrust does not end at 0", "a last eng-data with f = 0", file=shown)
+    return _thrust(points, propellant_kg, name, shown, tuple(range(1, len(points) + 1)))
+
+
+def _thrust(
+    points: list[tuple[float, float]], propellant_kg: float, name: str, shown: str, lines: tuple[int, ...]
+) -> CsvTable:
+    """Return the table of a thrust curve, with a mass flow in proportion to the thrust."""
     times, thrust_N = np.array(points).T
     impulse = float(np.trapezoid(thrust_N, times))
     if not impulse > 0.0:
         raise refuse("has no impulse", "thrust above 0", file=shown)
-    return _table(
-        name,
-        shown,
-        tuple(places),
-        time_s=times,
-        thrust_vacuum_N=thrust_N,
-        mass_flow_kgps=thrust_N * propellant_kg / impulse,
-    )
+    flow = thrust_N * propellant_kg / impulse
+    return _table(name, shown, lines, time_s=times, thrust_vacuum_N=thrust_N, mass_flow_kgps=flow)
+
+
+def read_drag_curve(text: str, name: str, shown: str) -> CsvTable | None:
+    """Return the columns mach and CD of lines of two numbers, or None if the first line contains names.
+
+    Comments begin with #. Raises the refusal of the schema for a line that is not two numbers.
+    """
+    lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if line.strip() and line.strip()[0] != "#"]
+    if not lines or _pair(lines[0][1]) is None:
+        return None
+    rows = []
+    for number, line in lines:
+        if (pair := _pair(line)) is None:
+            allowed = "a Mach number and a drag coefficient on each line"
+            raise refuse("is not two numbers", allowed, file=shown, place=f"line {number}")
+        rows.append(pair)
+    mach, drag = np.array(rows).T
+    return _table(name, shown, tuple(n for n, _ in lines), mach=mach, CD=drag)
+
+
+def _pair(line: str) -> tuple[float, float] | None:
+    """Return the two numbers of a line, separated by a comma, a semicolon or spaces, or None."""
+    cells = re.split(r"\s*[,;]\s*|\s+", line.strip())
+    if len(cells) != 2 or not all(re.fullmatch(_NUMBER, cell) for cell in cells):
+        return None
+    return _real(cells[0]), _real(cells[1])
 
 
 def read_datcom(text: str, name: str, shown: str) -> CsvTable:
@@ -114,7 +170,14 @@ def _table(name: str, shown: str, lines: tuple[int, ...], **columns: np.ndarray)
 
 def _rasp(name: Text, reading: Reading, columns: Columns) -> CsvTable | None:
     shown, text = reading.read_table(name)
+    if name.lower().endswith(".rse"):
+        return read_rse(text, str(name), shown)
     return read_rasp(text, str(name), shown) if name.lower().endswith(".eng") else None
+
+
+def _drag(name: Text, reading: Reading, columns: Columns) -> CsvTable | None:
+    shown, text = reading.read_table(name)
+    return read_drag_curve(text, str(name), shown)
 
 
 def _datcom(name: Text, reading: Reading, columns: Columns) -> CsvTable | None:
@@ -122,4 +185,5 @@ def _datcom(name: Text, reading: Reading, columns: Columns) -> CsvTable | None:
     return read_datcom(text, str(name), shown) if "STATIC AERODYNAMICS FOR" in text else None
 
 
-RASP, DATCOM = Foreign("a RASP file (.eng)", _rasp), Foreign("Missile DATCOM's for006.dat", _datcom)
+RASP, DATCOM = Foreign("a RASP (.eng) or RockSim file (.rse)", _rasp), Foreign("Missile DATCOM's for006.dat", _datcom)
+DRAG_CURVE = Foreign("lines of mach and CD without names", _drag)

@@ -6,6 +6,9 @@ import shlex
 from collections.abc import Callable
 from pathlib import Path
 
+from maxq.sim.campaign.analysis import DataSet
+from maxq.sim.campaign.drop_zones import drop_zones
+from maxq.sim.campaign.store import MANIFEST, campaign_in
 from maxq.sim.files import check_writable
 from maxq.sim.log.head import LogError
 from maxq.sim.log.reader import Log, read_log
@@ -13,7 +16,7 @@ from maxq.sim.run.impact_channels import WithImpacts
 from maxq.sim.run.record import LOG_NAME
 from maxq.tools.cli.frame import CommandError, Exit
 from maxq.tools.cli.terminal import tell
-from maxq.tools.exchange.maps import Feature, features_of, write_geojson, write_kml
+from maxq.tools.exchange.maps import Feature, features_of, write_geojson, write_kml, zone_features
 from maxq.tools.exchange.orbit_messages import MessageFrame, OrbitMessages
 
 KINDS = ("csv", "mat", "kml", "geojson", "oem", "opm")
@@ -34,6 +37,8 @@ def execute(
     Raises CommandError for a place that is no log or a channel that the log lacks, and LogError for an unusable log.
     """
     paths = {kind: _checked(kind, files[kind]) for kind in KINDS if kind in files}
+    if (Path(place) / MANIFEST).is_file():
+        return _zones(place, paths)
     log = _log(place)
     for note in log.notes:
         tell(f"warning: {place}: {note}")
@@ -52,6 +57,26 @@ def execute(
             tell(f"{path}: {writers[kind](path)}")
         except KeyError as error:
             raise CommandError(f"{place}: {error.args[0]}") from None
+    return Exit.OK
+
+
+def _zones(place: str, paths: dict[str, Path]) -> int:
+    """Write the map of a campaign's drop zones. Raises CommandError for other files, and without drop points."""
+    if others := [kind for kind in paths if kind not in ("kml", "geojson")]:
+        raise CommandError(
+            f"--{others[0]}: {place} is a campaign, whose drop zones are exported by --kml and --geojson"
+        )
+    data = DataSet(Path(place), campaign_in(Path(place)))
+    zones = drop_zones(data)
+    if not zones:
+        raise CommandError(f"{place}: no run has a drop point: the vehicle drops nothing that reaches the ground")
+    features = zone_features(zones)
+    for kind, path in paths.items():
+        if kind == "kml":
+            write_kml(path, data.campaign.name, features)
+        else:
+            write_geojson(path, features)
+        tell(f"{path}: {', '.join(zone.name for zone in zones)}: {len(data.runs)} runs")
     return Exit.OK
 
 

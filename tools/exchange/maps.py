@@ -17,6 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from maxq.control.kernel.records import Array
+from maxq.sim.campaign.drop_zones import LEVEL, DropZone, radii_m
 from maxq.sim.files import whole_file, write_whole
 from maxq.sim.log.head import LogError
 from maxq.sim.run.impact_channels import VACUUM_TOPIC, DropPoint, WithImpacts
@@ -29,14 +30,17 @@ _COLOURS = {"trajectory": "ff00a5ff", "impact": "ff0000ff", "impact with drag": 
 
 @dataclass(frozen=True)
 class Feature:
-    """A line or a point of a map. `places` (n, 2) or (n, 3) has longitude, latitude (deg) and, in the air, altitude
-    (m).
+    """A line, a point or an area of a map.
+
+    `places` (n, 2) or (n, 3) has longitude, latitude (deg) and, in the air, altitude (m). Those of an area are its
+    corners, anticlockwise, the last equal to the first.
     """
 
     name: str
     kind: str
     places: Array
     about: dict[str, Any]
+    is_area: bool = False
 
     @property
     def is_point(self) -> bool:
@@ -66,6 +70,24 @@ def features_of(flight: WithImpacts) -> list[Feature]:
         about = {"time_s": time_s, "event": event.text}
         found.append(Feature(event.text.partition(":")[0], "event", np.array(at), about))
     found += [_drop(point) for point in flight.drop_points() if math.isfinite(point.fall_s)]
+    return found
+
+
+def zone_features(zones: Sequence[DropZone]) -> list[Feature]:
+    """Return the drop points of the runs of a campaign, and the ellipse of each zone."""
+    found = []
+    for zone in zones:
+        start = np.array([zone.longitude_deg, zone.latitude_deg])
+        east_m, north_m = radii_m(zone.earth.equatorial_radius_m, zone.earth.flattening, math.radians(start[1]))
+        scale = np.degrees([1.0 / east_m, 1.0 / north_m])
+        major, minor = (round(axis, 1) for axis in zone.axes_m)
+        about = {"model": zone.model, "runs": len(zone.runs), "probability": LEVEL, "semi_axes_m": [major, minor]}
+        if math.isfinite(major):
+            ring = start + scale * zone.outline_m()[::-1]
+            found.append(Feature(f"drop zone of {zone.name}", "zone", ring, about, is_area=True))
+        for run, east, north in zip(zone.runs.tolist(), zone.east_m, zone.north_m, strict=True):
+            place = start + scale * [east, north]
+            found.append(Feature(f"{zone.name}, run {run}", "drop", place[None, :], {"run": run, "model": zone.model}))
     return found
 
 
@@ -107,6 +129,8 @@ def write_geojson(path: Path, features: Sequence[Feature]) -> None:
 def _geometry(feature: Feature) -> dict[str, Any]:
     if feature.is_point:
         return {"type": "Point", "coordinates": _rounded(feature.places)[0]}
+    if feature.is_area:
+        return {"type": "Polygon", "coordinates": [_rounded(feature.places)]}
     parts = [_rounded(part) for part in _cut(feature.places)]
     if len(parts) == 1:
         return {"type": "LineString", "coordinates": parts[0]}
@@ -150,11 +174,14 @@ def write_kml(path: Path, name: str, features: Sequence[Feature]) -> None:
         _child(mark, "description", "; ".join(f"{key}: {value}" for key, value in feature.about.items()))
         if feature.kind in _COLOURS:
             _child(mark, "styleUrl", f"#{feature.kind.replace(' ', '-')}")
-        shape = _child(mark, "Point" if feature.is_point else "LineString")
+        kind = "Polygon" if feature.is_area else "Point" if feature.is_point else "LineString"
+        shape = _child(mark, kind)
         in_air = feature.places.shape[1] == 3
         if not feature.is_point and not in_air:
             _child(shape, "tessellate", "1")
         _child(shape, "altitudeMode", "absolute" if in_air else "clampToGround")
+        if feature.is_area:
+            shape = _child(_child(shape, "outerBoundaryIs"), "LinearRing")
         _child(shape, "coordinates", " ".join(",".join(map(repr, row)) for row in _rounded(feature.places)))
     ElementTree.indent(root)
     with whole_file(path) as part:

@@ -28,7 +28,8 @@ def drop_plots(zones: Sequence[DropZone], scenario: Scenario, folder: Path) -> l
     """Return the map of drop zones as a list with one figure, or an empty list without zones."""
     if not zones:
         return []
-    panels = [_overview(zones, scenario.initial.geodetic or scenario.site), *(_zone(zone) for zone in zones)]
+    place = scenario.initial.geodetic if scenario.initial is not None else None
+    panels = [_overview(zones, place or scenario.site), *(_zone(zone) for zone in zones)]
     caption = (
         "Overview: mean drop points, and straight lines from the start of the flight. Other panels are to scale "
         f"about the mean point; the ellipse contains the next point with a probability of {100 * LEVEL:.0f} %."

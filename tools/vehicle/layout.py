@@ -158,9 +158,9 @@ class LayoutThrust(Section):
 
     positions_m: tuple[Pair, ...] = optional("y and z of each gimbal, m", ((0.0, 0.0),), min_length=1)
     thrust: Annotated[CsvTable, LAYOUT_THRUST_COLUMNS] | None = optional(
-        "thrust of each over time from ignition, CSV or a RASP file (.eng), instead of thrust_vacuum_N and ramps. The "
-        "flow is proportional to mass_flow_kgps, to thrust / isp_vacuum_s, or without these columns to thrust; its "
-        "integral is the propellant"
+        "thrust of each over time from ignition, CSV, RASP (.eng) or RockSim (.rse), instead of thrust_vacuum_N and "
+        "ramps. The flow is proportional to mass_flow_kgps, to thrust / isp_vacuum_s, or without these columns to "
+        "thrust; its integral is the propellant"
     )
     thrust_vacuum_N: Positive | None = optional("vacuum thrust of each, N")
     isp_vacuum_s: Positive | None = optional("specific impulse in vacuum, s; with thrust, only compared with it")

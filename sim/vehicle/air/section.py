@@ -9,6 +9,7 @@ from pydantic import Field
 
 from maxq.control.kernel.limits import MAX_SURFACES
 from maxq.sim.input.errors import refuse
+from maxq.sim.input.foreign import DRAG_CURVE
 from maxq.sim.input.tables_csv import Columns, CsvTable
 from maxq.sim.input.values import NotNegative, Positive, Section, optional
 from maxq.sim.vehicle.air.tables import COEFFICIENT_COLUMNS, GridTable, grid_table
@@ -28,7 +29,9 @@ COEFFICIENTS = (
 )
 
 
-AERO_COLUMNS = Columns("mach", optional=COEFFICIENTS, not_negative=("mach", "CA", "CA_coast", "CD", "C_crossflow"))
+AERO_COLUMNS = Columns(
+    "mach", optional=COEFFICIENTS, not_negative=("mach", "CA", "CA_coast", "CD", "C_crossflow"), foreign=DRAG_CURVE
+)
 
 
 SURFACE_COLUMNS = Columns("mach", sets=(("CN_alpha_pr", "station_m"),), not_negative=("mach",))
