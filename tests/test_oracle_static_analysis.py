@@ -26,6 +26,8 @@ DEVIATIONS = {
     ("maxq_fsw.h", "2.5"): "advisory: macros of the interface for other flight code",
 }
 """The accepted deviations, by file and rule, with their reasons."""
+OF_OPTIONS = {("flight_law.c", "17.7"): "false: a cast to a pointer to an array is no call"}
+"""Those of laws whose filters change and fade out."""
 
 
 @pytest.mark.slow
@@ -54,7 +56,7 @@ def test_laws_with_all_their_options_deviate_only_as_listed(tmp_path: Path, law:
         assert count == 1
     header.write_text(text)
     deviations = {pair for pair in found(tmp_path, "flight_law.c") if pair[0] == "flight_law.c"}
-    assert deviations <= set(DEVIATIONS)
+    assert deviations <= {*DEVIATIONS, *OF_OPTIONS}
 
 
 def found(folder: Path, *sources: str) -> set[tuple[str, str]]:

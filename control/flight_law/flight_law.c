@@ -151,11 +151,11 @@ static law_real moved(const law_stage *of, law_state *state, int32_t axis, law_r
     int32_t i;
     for (i = 0; i < of->filter_quadratic; ++i) {
         value = quadratic(p, of->filter_g_per_hz, state->moving[axis][i], value);
-        p += 4;
+        p = &p[4];
     }
     for (i = of->filter_quadratic; i < of->filter_quadratic + of->filter_first_order; ++i) {
         value = first_order(p, of->filter_g_per_hz, state->moving[axis][i], value);
-        p += 2;
+        p = &p[2];
     }
     return value;
 }
@@ -165,9 +165,13 @@ static void settle_moved(const law_stage *of, law_state *state, int32_t axis, la
 {
     int32_t i;
     for (i = 0; i < of->filter_quadratic + of->filter_first_order; ++i) {
-        const int32_t is_quadratic = (i < of->filter_quadratic) ? 1 : 0;
-        state->moving[axis][i][0] = (is_quadratic != 0) ? REAL(0.0) : input;
-        state->moving[axis][i][1] = (is_quadratic != 0) ? input : REAL(0.0);
+        law_real *const own = state->moving[axis][i];
+        own[0] = input;
+        own[1] = REAL(0.0);
+        if (i < of->filter_quadratic) {
+            own[0] = REAL(0.0);
+            own[1] = input;
+        }
     }
 }
 #endif
@@ -196,7 +200,7 @@ static void freeze(const law_stage *of, law_state *state, int32_t axis)
             row[4] = (REAL(1.0) - pole + g * g) / a0;
             y0 = quadratic(p, of->filter_g_per_hz, own, REAL(0.0));
             y1 = quadratic(p, of->filter_g_per_hz, own, REAL(0.0));
-            p += 4;
+            p = &p[4];
         } else {
             const law_real g = p[1] * of->filter_g_per_hz;
             const law_real r = p[1] / p[0];
@@ -207,7 +211,7 @@ static void freeze(const law_stage *of, law_state *state, int32_t axis)
             row[4] = REAL(0.0);
             y0 = first_order(p, of->filter_g_per_hz, own, REAL(0.0));
             y1 = first_order(p, of->filter_g_per_hz, own, REAL(0.0));
-            p += 2;
+            p = &p[2];
         }
         state->old_filter[3][axis][i][0] = y0;
         state->old_filter[3][axis][i][1] = y1 + row[3] * y0;
