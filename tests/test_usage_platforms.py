@@ -1,4 +1,4 @@
-"""Where a system lacks what Linux has, maxq takes another way or says so in one line."""
+"""maxq takes another way, or says so in one line, on a system that lacks what Linux has."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The links to the layers in tools/.ns, which mypy and import-linter follow (pyproject.toml): `make lint`.
 
-In the repository they are symbolic links. A checkout without them (Windows without the right to make them, an archive)
-has a text file in place of each; this module then makes links again, or else junctions or copies.
+In the repository they are symbolic links. A checkout that cannot contain them, as on Windows without this right, has a
+text file in place of each. This module then makes links again, or else junctions or copies.
 
     python -m maxq.tools.dev.links
 """
@@ -32,7 +32,7 @@ def _junction(layer: Path, link: Path) -> None:
 
 
 def _copy(layer: Path, link: Path) -> None:
-    """Copy the modules of a layer. The copy is made anew by the next call, because the layer may have changed."""
+    """Copy the modules of a layer. The next call makes the copy again, because the layer may have changed."""
     shutil.copytree(layer, link, ignore=shutil.ignore_patterns("__pycache__", ".ns"))
     (link / _MARK).touch()
 
