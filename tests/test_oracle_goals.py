@@ -1,4 +1,4 @@
-"""Goals of one's own, fixed variables, prices, sensitivities and trade-offs, against independent computations."""
+"""Goals, fixed variables, prices, sensitivities and trade-offs of a case, against independent computations."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from maxq.sim.input.values import Positive, Section, optional
 TransferName = Literal["S", "T", "KS", "L"]
 StepName = Literal["overshoot_pct", "settling_pct", "gimbal_peak", "offset_peak"]
 WindName = Literal["q_alpha_Padeg", "drift_mps"]
-MarginName = Literal[
+GoalMargin = Literal[
     "first_mode_db",
     "second_mode_db",
     "modes_from_2_db",
@@ -33,7 +33,7 @@ MarginName = Literal[
     "delay_ms",
 ]
 TRANSFERS: tuple[str, ...] = get_args(TransferName)
-IN_DB = tuple(key for key in get_args(MarginName) if QUANTITIES[key].unit == "dB" and "margin" not in key)
+IN_DB = tuple(key for key in get_args(GoalMargin) if QUANTITIES[key].unit == "dB" and "margin" not in key)
 """The quantities that a soft goal can minimise or maximise without a target."""
 Template = tuple[tuple[float, float], ...]
 
@@ -41,7 +41,7 @@ Template = tuple[tuple[float, float], ...]
 class GoalSection(Section):
     """A goal. S = 1 / (1 + L), T = L S, KS = C S with the law C from the measured rate to the gimbal command."""
 
-    quantity: MarginName | TransferName | StepName | WindName | Literal["function"] = Field(
+    quantity: GoalMargin | TransferName | StepName | WindName | Literal["function"] = Field(
         description="quantity of the loop; S, T, KS, L: a template of its magnitude over frequency; overshoot_pct, "
         "settling_pct, gimbal_peak: after a step of the commanded attitude; offset_peak: largest attitude per constant "
         "gimbal offset; q_alpha_Padeg, drift_mps: in wind, soft only; function: of your own"

@@ -56,8 +56,8 @@ def selected(name: str, names: Sequence[str]) -> IntArray:
 def bounded(given: Sequence[VariableSection], names: Sequence[str], lower: Array, upper: Array) -> tuple[Array, Array]:
     """Return the bounds of the variables with those of a case.
 
-    A fixed variable has equal bounds. Raises UnsolvableError for an unknown name, for an entry whose values are still
-    to be read from the start design (`from_start`), and for a frequency or gain that is not positive.
+    A fixed variable has equal bounds. Entries with `from_start` must have been replaced by values. Raises
+    UnsolvableError for an unknown name, and for a frequency or gain that is not positive.
     """
     lower, upper = lower.copy(), upper.copy()
     for one in given:
