@@ -25,6 +25,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for type checkers and editors; the interpreter finds these names by _HOMES
+    from collections.abc import Sequence
     from pathlib import Path
 
     from distributed import Client
@@ -38,12 +39,14 @@ if TYPE_CHECKING:  # for type checkers and editors; the interpreter finds these 
     from maxq.design.margins.multiloop import multiloop_margins
     from maxq.design.model.given import GivenPoint, point_of_matrices
     from maxq.design.model.given_file import given_points
+    from maxq.design.model.given_system import point_of_system
     from maxq.design.model.instruments import Plane
     from maxq.design.model.node import Node
     from maxq.design.model.operating_point import OperatingPoint
     from maxq.design.operating_points import PlantKind, nodes
     from maxq.design.paper.errata import Errata
     from maxq.design.verify.verify import Verification
+    from maxq.design.verify.worst_given import WorstPoint, worst_point
     from maxq.sim.campaign.analysis import DataSet
     from maxq.sim.campaign.error import CampaignError
     from maxq.sim.campaign.read import LoadedCampaign
@@ -90,6 +93,7 @@ __all__ = [
     "SensitivityCurves",
     "TimeCurves",
     "Verification",
+    "WorstPoint",
     "bode",
     "builtin_names",
     "campaign",
@@ -106,11 +110,13 @@ __all__ = [
     "optimise",
     "plot",
     "point_of_matrices",
+    "point_of_system",
     "read",
     "record",
     "replay",
     "vehicle",
     "verify",
+    "worst_point",
 ]
 _HOMES = {
     "maxq.design.laws.design_file": ("load_design",),
@@ -120,10 +126,12 @@ _HOMES = {
     "maxq.design.margins.multiloop": ("multiloop_margins",),
     "maxq.design.model.given": ("GivenPoint", "point_of_matrices"),
     "maxq.design.model.given_file": ("given_points",),
+    "maxq.design.model.given_system": ("point_of_system",),
     "maxq.design.model.node": ("Node",),
     "maxq.design.model.operating_point": ("OperatingPoint",),
     "maxq.design.operating_points": ("nodes",),
     "maxq.design.verify.verify": ("Verification",),
+    "maxq.design.verify.worst_given": ("WorstPoint", "worst_point"),
     "maxq.sim.campaign.analysis": ("DataSet",),
     "maxq.sim.campaign.error": ("CampaignError",),
     "maxq.sim.campaign.read": ("LoadedCampaign",),
@@ -307,18 +315,19 @@ def vehicle(layout: str | Path, folder: str | Path | None = None) -> Path:
     return place
 
 
-def optimise(case: str | Path, *overrides: str) -> Designed:
+def optimise(case: str | Path, *overrides: str, points: Sequence[GivenPoint] | None = None) -> Designed:
     """Optimise the gain schedules and the bending filter of a case (`simdesign`).
 
     :param case: TOML file, or the name of a built-in case.
     :param overrides: Changes of keys, such as ``"limits.gain_margin_db=7"``.
+    :param points: Operating points in place of the scenario or the points of the case (:func:`point_of_system`).
     :returns: The design with its limits and margins. `meets_limits` is False if it misses a limit of the case.
     :raises ScenarioError: If the case is invalid.
     :raises ValueError: If no design of the case can be computed, for example without an operating point.
     """
     from maxq.tools.design.designed import designed
 
-    return designed(case, overrides)
+    return designed(case, overrides, points)
 
 
 def verify(design: str | Path, suite: str | Path = "standard", *overrides: str) -> Verification:
