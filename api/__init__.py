@@ -25,7 +25,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for type checkers and editors; the interpreter finds these names by _HOMES
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from distributed import Client
@@ -39,6 +39,7 @@ if TYPE_CHECKING:  # for type checkers and editors; the interpreter finds these 
     from maxq.design.margins.multiloop import multiloop_margins
     from maxq.design.model.given import GivenPoint, point_of_matrices
     from maxq.design.model.given_file import given_points
+    from maxq.design.model.given_system import point_of_system
     from maxq.design.model.instruments import Plane
     from maxq.design.model.node import Node
     from maxq.design.model.operating_point import OperatingPoint
@@ -46,6 +47,7 @@ if TYPE_CHECKING:  # for type checkers and editors; the interpreter finds these 
     from maxq.design.optimise.response_goals import LoopValues
     from maxq.design.paper.errata import Errata
     from maxq.design.verify.verify import Verification
+    from maxq.design.verify.worst_given import WorstPoint, worst_point
     from maxq.sim.campaign.analysis import DataSet
     from maxq.sim.campaign.error import CampaignError
     from maxq.sim.campaign.read import LoadedCampaign
@@ -69,6 +71,7 @@ if TYPE_CHECKING:  # for type checkers and editors; the interpreter finds these 
         loops,
     )
     from maxq.tools.design.designed import Designed
+    from maxq.tools.design.serve import WorkbenchServer
 
 __all__ = [
     "AnalysedLoop",
@@ -95,6 +98,8 @@ __all__ = [
     "TimeCurves",
     "Verification",
     "WithImpacts",
+    "WorkbenchServer",
+    "WorstPoint",
     "bode",
     "builtin_names",
     "campaign",
@@ -112,11 +117,14 @@ __all__ = [
     "optimise",
     "plot",
     "point_of_matrices",
+    "point_of_system",
     "read",
     "record",
     "replay",
     "vehicle",
     "verify",
+    "workbench",
+    "worst_point",
 ]
 _HOMES = {
     "maxq.design.laws.design_file": ("load_design",),
@@ -126,11 +134,13 @@ _HOMES = {
     "maxq.design.margins.multiloop": ("multiloop_margins",),
     "maxq.design.model.given": ("GivenPoint", "point_of_matrices"),
     "maxq.design.model.given_file": ("given_points",),
+    "maxq.design.model.given_system": ("point_of_system",),
     "maxq.design.model.node": ("Node",),
     "maxq.design.model.operating_point": ("OperatingPoint",),
     "maxq.design.optimise.response_goals": ("LoopValues",),
     "maxq.design.operating_points": ("nodes",),
     "maxq.design.verify.verify": ("Verification",),
+    "maxq.design.verify.worst_given": ("WorstPoint", "worst_point"),
     "maxq.sim.campaign.analysis": ("DataSet",),
     "maxq.sim.campaign.error": ("CampaignError",),
     "maxq.sim.campaign.read": ("LoadedCampaign",),
@@ -153,6 +163,7 @@ _HOMES = {
         "loops",
     ),
     "maxq.tools.design.designed": ("Designed",),
+    "maxq.tools.design.serve": ("WorkbenchServer",),
 }
 """The modules that define the names which this module only exports."""
 
@@ -331,12 +342,16 @@ def vehicle(layout: str | Path, folder: str | Path | None = None) -> Path:
 
 
 def optimise(
-    case: str | Path, *overrides: str, functions: Mapping[str, Callable[[LoopValues], Any]] | None = None
+    case: str | Path,
+    *overrides: str,
+    points: Sequence[GivenPoint] | None = None,
+    functions: Mapping[str, Callable[[LoopValues], Any]] | None = None,
 ) -> Designed:
     """Optimise the gain schedules and the bending filter of a case (`simdesign`).
 
     :param case: TOML file, or the name of a built-in case.
     :param overrides: Changes of keys, such as ``"limits.gain_margin_db=7"``.
+    :param points: Operating points in place of the scenario or the points of the case (:func:`point_of_system`).
     :param functions: Functions of a loop by the names that goals of the case state as `function`. Each is called with
         the `LoopValues` of a loop, returns a number, and is differentiated by complex steps.
     :returns: The design with its limits and margins. `meets_limits` is False if it misses a limit of the case.
@@ -347,7 +362,7 @@ def optimise(
     from maxq.tools.design.designed import designed
 
     with registered(functions or {}):
-        return designed(case, overrides)
+        return designed(case, overrides, points)
 
 
 def verify(design: str | Path, suite: str | Path = "standard", *overrides: str) -> Verification:
@@ -369,6 +384,39 @@ def verify(design: str | Path, suite: str | Path = "standard", *overrides: str) 
     from maxq.design.verify.verify import verify as verify_design
 
     return verify_design(design_path(str(design)), read_suite(str(suite), overrides), memory=memory.default_folder())
+
+
+def workbench(
+    design: str | Path,
+    scenario: str | Path | None = None,
+    times_s: Sequence[float] = (),
+    *,
+    points: str | None = None,
+    also: Sequence[str] = (),
+    folder: str | Path = ".",
+    port: int = 0,
+) -> WorkbenchServer:
+    """Serve a page on which gains and filter of a design are changed by hand (`simdesign open`).
+
+    A notebook shows the page if its browser runs on the machine of its kernel.
+
+    :param design: Design file, folder with a design.toml, or the name of a built-in design.
+    :param scenario: Scenario whose flight contains the operating points. The default is that of the design.
+    :param times_s: Vehicle times of the operating points, s. The default are those of the design.
+    :param points: File of published derivatives in place of a scenario.
+    :param also: Designs to draw too.
+    :param folder: Folder in which trials are saved.
+    :param port: Port on this machine. The default is a free one.
+    :returns: The server, with the address in `url` and the design last shown in `trial`. It runs until `close()`.
+    :raises ScenarioError: If a design, the scenario or the file is invalid.
+    """
+    from maxq.tools.design.report import AnalysisOrder
+    from maxq.tools.design.serve import WorkbenchServer, workbench_of
+
+    given = {"scenario": scenario and str(scenario), "times_s": tuple(map(float, times_s)), "points": points}
+    chosen: dict[str, Any] = {key: value for key, value in given.items() if value}
+    order = AnalysisOrder(design=str(design), given=tuple(chosen), **chosen)
+    return WorkbenchServer(workbench_of(order, tuple(map(str, also)), str(folder)), port)
 
 
 def bode(

@@ -34,7 +34,7 @@ from maxq.design.case.basis import (
     limit_of,
 )
 from maxq.design.case.goals import GoalSection
-from maxq.design.model.given_file import GivenPoints, read_points
+from maxq.design.model.given_file import GivenPoints, PointList, read_points
 from maxq.sim.input.documents import Text
 from maxq.sim.input.errors import ScenarioError, refuse
 from maxq.sim.input.files import builtin_files, find, named_in_file
@@ -418,7 +418,7 @@ class LoadedCase:
     base: LoadedScenario | None
     start: Design | None = None  # `search.start_design`
     flight: LoadedScenario | None = None
-    points: GivenPoints | None = None
+    points: GivenPoints | PointList | None = None
 
     @property
     def name(self) -> str:

@@ -23,8 +23,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -68,12 +68,22 @@ class PlaneCoefficients:
     modes: tuple[GivenMode, ...] = ()
 
     def scaled(self, **factors: float) -> PlaneCoefficients:
-        """Return the coefficients with the named ones multiplied by factors. Raises ValueError for an unknown name."""
-        known = [f.name for f in dataclasses.fields(self) if f.name != "modes"]
+        """Return the coefficients with the named ones multiplied by factors.
+
+        A coefficient of a mode has its number in front: `mode_1_omega_radps`. Raises ValueError for an unknown name.
+        """
+        own = [f.name for f in dataclasses.fields(self) if f.name != "modes"]
+        of_mode = [f.name for f in dataclasses.fields(GivenMode)]
+        known = own + [f"mode_{n}_{name}" for n in range(1, 1 + len(self.modes)) for name in of_mode]
         for name, factor in factors.items():
             if name not in known:
                 raise ValueError(f"{name} = {factor:g}: allowed are factors on {', '.join(known)}")
-        return dataclasses.replace(self, **{name: factor * getattr(self, name) for name, factor in factors.items()})
+        modes = []
+        for n, mode in enumerate(self.modes, 1):
+            values = {name: factors.get(f"mode_{n}_{name}", 1.0) * getattr(mode, name) for name in of_mode}
+            modes.append(GivenMode(**values))
+        changed = {name: factors.get(name, 1.0) * getattr(self, name) for name in own}
+        return PlaneCoefficients(**changed, modes=tuple(modes))
 
     def plant(self) -> StateSpace:
         """Return the plant defined in the module, with the wind as its last input. Raises ValueError for zero speed."""
@@ -118,11 +128,18 @@ class PlaneCoefficients:
         )
 
 
+Change = tuple[Array, Array, Array, Array]
+"""The changes of A, B, C and D by a deviation of 1."""
+COMPUTER = ("gain", "delay_s")
+"""The deviations of every given point: a factor on the command, and a delay in s that is added to the computer's."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class GivenPoint(OperatingPoint):
     """An operating point whose plant is given. Its measured acceleration is in the frame of `axial_mps2`."""
 
     given: StateSpace
+    changes: Mapping[str, Change] = field(default_factory=dict)  # deviations of matrices by name
     axial_mps2: float = 0.0  # axial specific force that navigation measures
     of_rigid: StabilityDerivatives | None = None
     coefficients: PlaneCoefficients | None = None
@@ -148,7 +165,7 @@ class GivenPoint(OperatingPoint):
     @property
     def derivatives(self) -> StabilityDerivatives:
         if self.of_rigid is None:
-            raise ValueError(f"node at {self.time_s:g} s: matrices have no stability derivatives")
+            raise ValueError(f"node at {self.time_s:g} s: matrices have no stability derivatives; give m_delta_1ps2")
         return self.of_rigid
 
     @property
@@ -160,14 +177,55 @@ class GivenPoint(OperatingPoint):
         before = [(name, dataclasses.replace(self, given=plant, parts=())) for name, plant in self.parts]
         return [*before, ("bending" if self.parts else "plant", self)]
 
-    def with_(self, **factors: float) -> GivenPoint:
-        """Return the operating point with factors on its coefficients, such as A6_1ps2=1.3.
-
-        Raises ValueError for an operating point that is given by matrices, and for an unknown coefficient.
-        """
+    @property
+    def known_deviations(self) -> tuple[str, ...]:
+        """Return the names that `with_` accepts."""
         if self.coefficients is None:
-            raise ValueError(f"node at {self.time_s:g} s: matrices have no coefficients that could deviate")
-        return of_coefficients(self, self.coefficients.scaled(**factors))
+            return (*COMPUTER, *self.changes)
+        own = [f.name for f in dataclasses.fields(PlaneCoefficients) if f.name != "modes"]
+        of_mode = [f.name for f in dataclasses.fields(GivenMode)]
+        modes = range(1, 1 + len(self.coefficients.modes))
+        return (*COMPUTER, *own, *(f"mode_{n}_{name}" for n in modes for name in of_mode))
+
+    def with_(self, **deviations: float) -> GivenPoint:
+        """Return the operating point with deviations.
+
+        A deviation of a coefficient is a factor, such as A6_1ps2=1.3 or mode_1_omega_radps=0.9. A deviation of matrices
+        is a multiple of the change with this name (`point_of_matrices`). `gain` is a factor on the command, and
+        `delay_s` is added to the delay of the computer. Raises ValueError for an unknown name and for a negative delay.
+        """
+        for name, value in deviations.items():
+            if name not in self.known_deviations:
+                known = ", ".join(self.known_deviations)
+                raise ValueError(f"node at {self.time_s:g} s: {name} = {value:g} is no deviation; allowed: {known}")
+        own = {name: value for name, value in deviations.items() if name not in COMPUTER}
+        point = self
+        if self.coefficients is not None:
+            point = of_coefficients(self, self.coefficients.scaled(**own)) if own else self
+        elif own:
+            parts = [getattr(self.given, name) for name in "abcd"]
+            for name, value in own.items():
+                parts = [part + value * change for part, change in zip(parts, self.changes[name], strict=True)]
+            changed = dict(zip("abcd", parts, strict=True))
+            point = dataclasses.replace(self, given=dataclasses.replace(self.given, **changed))
+        gain, late_s = deviations.get("gain", 1.0), deviations.get("delay_s", 0.0)
+        if late_s != 0.0:
+            timing = point.instruments
+            delay_s = _duration("delay_s", timing.delay_s + late_s)
+            point = dataclasses.replace(point, instruments=dataclasses.replace(timing, delay_s=delay_s))
+        return point if gain == 1.0 else dataclasses.replace(point, given=_amplified(point.given, gain), parts=())
+
+
+def _amplified(plant: StateSpace, gain: float) -> StateSpace:
+    """Return a plant whose gimbal angle is multiplied by a factor."""
+    factors = np.array([gain if name == DELTA else 1.0 for name in plant.inputs])
+    return dataclasses.replace(plant, b=plant.b * factors, d=plant.d * factors)
+
+
+def _duration(name: str, value: float) -> float:
+    if not 0.0 <= value < math.inf:
+        raise ValueError(f"{name} = {value:g}: allowed is a finite number from 0")
+    return value
 
 
 def of_coefficients(point: GivenPoint, given: PlaneCoefficients) -> GivenPoint:
@@ -198,8 +256,7 @@ def given_instruments(
     may be longer than a sample. Raises ValueError for a negative or infinite time.
     """
     for name, value in (("sample_s", sample_s), ("delay_s", delay_s)):
-        if not 0.0 <= value < math.inf:
-            raise ValueError(f"{name} = {value}: allowed is a finite number from 0")
+        _duration(name, value)
     ideal = pack_gyro(None, ideal=True)
     return Instruments(
         actuators=(actuator or pack_actuators(None, "ideal")[0],),
@@ -224,14 +281,22 @@ def point_of_matrices(
     delay_s: float = 0.0,
     axial_mps2: float = 0.0,
     plane: Plane = "pitch",
+    airspeed_mps: float = math.nan,
+    m_delta_1ps2: float | None = None,
+    m_alpha_1ps2: float = 0.0,
+    deviations: Mapping[str, Mapping[str, ArrayLike]] | None = None,
 ) -> GivenPoint:
     """Return an operating point of the plant x' = A x + B u, y = C x + D u, from the gimbal angle to measurements.
 
     `outputs` names the rows of C: `local_rate_radps`, the rate at the gyro, and optionally `accel_mps2`, the lateral
     specific force at the accelerometer. `inputs` names the columns of B: `delta_rad`, and optionally `wind_mps`. The
     `states` may include `eta_1_m` and `slosh_1_rad`; the lobes of their poles then have these names. An actuator must
-    be part of the matrices. `axial_mps2` is the axial specific force, for a law with drift feedback. Raises ValueError
-    for inconsistent matrices and for other names.
+    be part of the matrices. `axial_mps2` is the axial specific force, for a law with drift feedback, and `airspeed_mps`
+    the speed, for gusts. The optimiser needs the angular acceleration per gimbal angle, `m_delta_1ps2`, and per angle
+    of attack, `m_alpha_1ps2`, for its starts and for limits on the rigid body.
+
+    `deviations` describe the uncertainty: {name: {"a": change, ...}} are the changes of A, B, C and D by a deviation
+    of 1 (`GivenPoint.with_`, `worst_point`). Raises ValueError for inconsistent matrices and for other names.
     """
     matrices = [np.atleast_2d(np.asarray(m, float)) for m in (a, b, c)]
     n, m, p = len(matrices[0]), len(inputs), len(outputs)
@@ -252,15 +317,36 @@ def point_of_matrices(
     instruments = given_instruments(sample_s, delay_s)
     if ACCELERATION not in outputs:
         instruments = dataclasses.replace(instruments, sensors=())
+    rigid = None
+    if m_delta_1ps2 is not None:
+        rigid = StabilityDerivatives(math.nan, m_alpha_1ps2, math.nan, m_delta_1ps2, 0.0)
     return GivenPoint(
         time_s=time_s,
-        condition=still(time_s, math.nan, math.nan, axial_mps2),
+        condition=still(time_s, airspeed_mps, math.nan, axial_mps2),
         instruments=instruments,
         plane=plane,
         label=f"{time_s:g} s",
+        speed_mps=airspeed_mps,
         given=system,
         axial_mps2=axial_mps2,
+        of_rigid=rigid,
+        changes={name: _change(name, change, system) for name, change in (deviations or {}).items()},
     )
+
+
+def _change(name: str, given: Mapping[str, ArrayLike], system: StateSpace) -> Change:
+    """Return the changes of all four matrices by a deviation. Raises ValueError for another name or shape."""
+    if name in COMPUTER or not name.isidentifier() or not given or not set(given) <= set("abcd"):
+        allowed = f"another name than {', '.join(COMPUTER)}, with any of a, b, c, d"
+        raise ValueError(f"deviations: {name!r} has {list(given)}; allowed is {allowed}")
+    out = []
+    for part in "abcd":
+        shape = getattr(system, part).shape
+        change = np.asarray(given.get(part, np.zeros(shape)), float)
+        if change.size != shape[0] * shape[1] or not np.isfinite(change).all():
+            raise ValueError(f"deviations: {name}.{part} has the shape {change.shape}; allowed are numbers of {shape}")
+        out.append(change.reshape(shape))
+    return out[0], out[1], out[2], out[3]
 
 
 def still(time_s: float, airspeed_mps: float, dynamic_pressure_Pa: float, axial_mps2: float) -> FlightCondition:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -170,17 +172,52 @@ class GivenPoints(Section):
         return of_coefficients(empty, given)
 
 
+@dataclass(frozen=True)
+class PointList:
+    """Operating points in the place of a file of derivatives, in rising order of time.
+
+    Raises ValueError without a point, for points of two planes, and for times that do not rise.
+    """
+
+    points: tuple[GivenPoint, ...]
+    name: str = "given points"
+
+    def __post_init__(self) -> None:
+        planes = {point.plane for point in self.points}
+        rising = all(a.time_s < b.time_s for a, b in pairwise(self.points))
+        if len(planes) != 1 or not rising:
+            raise ValueError(f"points: {len(self.points)} given; allowed are points of one plane with rising time_s")
+
+    @property
+    def plane(self) -> Plane:
+        return self.points[0].plane
+
+    @property
+    def times_s(self) -> tuple[float, ...]:
+        return tuple(point.time_s for point in self.points)
+
+    def point(self, time_s: float) -> GivenPoint:
+        """Return the operating point at a time. Raises ValueError for a time that no point has."""
+        found = [point for point in self.points if point.time_s == time_s]
+        if not found:
+            times = ", ".join(f"{t:g}" for t in self.times_s)
+            raise ValueError(
+                f"node at {time_s:g} s: {self.name} are at {times} s only; allowed is between_nodes = 'ignore'"
+            )
+        return found[0]
+
+
 def read_points(name: str | Path, overrides: Iterable[str] = ()) -> GivenPoints:
     """Read a file of derivatives, or a built-in file, with `key=value` overrides. Raises ScenarioError."""
     return load_file(GivenPoints, "points", name, overrides)[0]
 
 
 def given_points(
-    file: GivenPoints | str | Path, times_s: Iterable[float] | None = None, overrides: Iterable[str] = ()
+    file: GivenPoints | PointList | str | Path, times_s: Iterable[float] | None = None, overrides: Iterable[str] = ()
 ) -> list[GivenPoint]:
     """Return the operating points of a file of derivatives at times (s), by default at all of its rows.
 
     Raises ScenarioError, and ValueError for a time outside the tables or with zero speed.
     """
-    read = file if isinstance(file, GivenPoints) else read_points(file, overrides)
+    read = file if isinstance(file, GivenPoints | PointList) else read_points(file, overrides)
     return [read.point(float(t)) for t in (read.times_s if times_s is None else times_s)]

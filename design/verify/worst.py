@@ -53,7 +53,7 @@ from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 
-_LOWEST_HZ, _GRID = 1e-3, 200
+_LOWEST_HZ, _HIGHEST_HZ, _GRID = 1e-3, 1e3, 200  # the second for a continuous loop
 _AROUND = np.array(
     [-8.0, -4.0, -2.0, -1.2, -0.6, -0.2, 0.2, 0.6, 1.2, 2.0, 4.0, 8.0]
 )  # points about a resonance, in half widths
@@ -132,26 +132,29 @@ def distance(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[
     """Return the function for one loop that corresponds to `distances`, with an individual measurement."""
     deviations, law = deviations_of(campaign, node), law_at(design, node)
 
-    def at(u: Array) -> tuple[float, Array]:
-        loop = Loop(fixed_path(disperse(node, deviations.at(u))), law)
-        hz = [np.geomspace(_LOWEST_HZ, loop.highest_hz, _GRID)]
-        hz += [r.frequency_hz + max(r.half_width_hz, 1e-3) * _AROUND for r in loop.fixed.resonances()]
-        grid = np.unique(np.clip(np.concatenate(hz), _LOWEST_HZ, loop.highest_hz))
-        near = np.abs(1.0 + loop.response(grid))
-        low = near <= np.minimum(np.append(near[1:], np.inf), np.append(np.inf, near[:-1]))
-        deepest = np.flatnonzero(low)[np.argsort(near[low])[:_MINIMA]]
-        before, after = grid[np.maximum(deepest - 1, 0)], grid[np.minimum(deepest + 1, len(grid) - 1)]
-        fine = np.concatenate([grid[deepest][None], np.linspace(before, after, 21)])
-        near = np.abs(1.0 + loop.response(fine))
-        k, each = near.argmin(axis=0), np.arange(len(deepest))
-        order = np.argsort(near[k, each])
-        least = float(near[k, each][order[0]])
-        drift_radps = (
-            2.0 * np.pi * lowest_hz_of(np.asarray(loop.open_poles()))
-        )  # slower poles count as drift and not as unstable
-        return -least if growing_count(loop.closed_poles(), drift_radps) else least, fine[k, each][order]
+    return lambda u: least_distance(Loop(fixed_path(disperse(node, deviations.at(u))), law))
 
-    return at
+
+def least_distance(loop: Loop) -> tuple[float, Array]:
+    """Return the distance of a loop from -1 and the frequencies (Hz) of its minima, the least first.
+
+    The distance of an unstable loop is negative. A grid about each resonance is refined at the deepest minima.
+    """
+    end = min(loop.highest_hz, _HIGHEST_HZ)
+    hz = [np.geomspace(_LOWEST_HZ, end, _GRID)]
+    hz += [r.frequency_hz + max(r.half_width_hz, 1e-3) * _AROUND for r in loop.fixed.resonances()]
+    grid = np.unique(np.clip(np.concatenate(hz), _LOWEST_HZ, end))
+    near = np.abs(1.0 + loop.response(grid))
+    low = near <= np.minimum(np.append(near[1:], np.inf), np.append(np.inf, near[:-1]))
+    deepest = np.flatnonzero(low)[np.argsort(near[low])[:_MINIMA]]
+    before, after = grid[np.maximum(deepest - 1, 0)], grid[np.minimum(deepest + 1, len(grid) - 1)]
+    fine = np.concatenate([grid[deepest][None], np.linspace(before, after, 21)])
+    near = np.abs(1.0 + loop.response(fine))
+    k, each = near.argmin(axis=0), np.arange(len(deepest))
+    order = np.argsort(near[k, each])
+    least = float(near[k, each][order[0]])
+    drift_radps = 2.0 * np.pi * lowest_hz_of(np.asarray(loop.open_poles()))  # slower poles are drift, not unstable
+    return -least if growing_count(loop.closed_poles(), drift_radps) else least, fine[k, each][order]
 
 
 def slope(node: Node, design: Design, campaign: LoadedCampaign) -> Callable[[Array, Array, Array], tuple[Array, Array]]:

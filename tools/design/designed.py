@@ -8,18 +8,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from maxq.design import operating_points
-from maxq.design.case.schema import read_case
+from maxq.design.case.schema import Case, LoadedCase, read_case
 from maxq.design.laws.design_file import design_path, design_text, load_design
 from maxq.design.loop.fixed_path import LoopKind
 from maxq.design.loop.loop import loops
+from maxq.design.model.given import GivenPoint
+from maxq.design.model.given_file import PointList
 from maxq.design.model.instruments import Plane
 from maxq.design.optimise.solution import Solution
 from maxq.design.verify.judging import JudgedLoop, Wanted, judge
 from maxq.design.verify.outcome import DesignOutcome, objective_text
 from maxq.design.verify.own_flight import design_case
 from maxq.sim.files import write_whole
+from maxq.sim.input.files import Reading, locate
 from maxq.sim.log.tabular import html_table
-from maxq.sim.scenario.loader import load_scenario
+from maxq.sim.scenario.loader import load_file, load_scenario, read_design
 from maxq.tools.design.analysed_loop import AnalysedLoop, analysed
 from maxq.tools.design.points import designed_at_points
 
@@ -94,9 +97,21 @@ class Designed:
         return html_table(repr(self).strip("<>"), ("requirement", "", "value", "limit"), rows)
 
 
-def designed(case: str | Path, overrides: Sequence[str]) -> Designed:
-    """Return the design of a case: gain schedules and bending filter, optimised along their own flight."""
-    loaded = read_case(str(case), overrides)
+def designed(case: str | Path, overrides: Sequence[str], points: Sequence[GivenPoint] | None = None) -> Designed:
+    """Return the design of a case: gain schedules and bending filter, optimised along their own flight.
+
+    `points` are operating points in place of those of the case.
+    """
+    if points is not None:
+        given = PointList(tuple(points))
+        changes = [*overrides, f'points="{given.name}"', f'plane="{given.plane}"']
+        if "scenario" in Reading().document(*locate(str(case), "case"), "case"):
+            changes.append("scenario=")
+        own, _, _, label, _ = load_file(Case, "case", str(case), changes)
+        start = own.search.start_design
+        loaded = LoadedCase(own, label, None, None if start is None else read_design(start), points=given)
+    else:
+        loaded = read_case(str(case), overrides)
     if loaded.points is not None:
         found, of_points = designed_at_points(loaded)
         return Designed(found, of_points, found.feasible and of_points.feasible)
