@@ -40,7 +40,7 @@ ROOM_DB, ROOM_DEG = 0.5, 2.0  # margins of a case to the limits of its suite, fo
 ROLL_SHARE = 0.25  # share of the gimbal angle limit available to roll
 FASTER = 0.1  # share of its burn by which a part's tables continue if the next part continues the burn
 FAR, LOW_PASS = 100.0, 0.15  # mode 1 / rigid body, above which a low pass is used; poles of the low pass / mode 1
-QUIET, HUSH = 30.0, 0.1  # of this low pass in a case: highest poles / rigid body, and largest gain at infinity
+QUIET, HUSH = 12.0, 0.1  # of this low pass in a case: highest poles / rigid body, and largest gain at infinity
 REVOLUTION_s = 6500.0  # period of a low orbit
 SHOWN = 0.4  # share of the sample rate up to which a mode has a notch
 CsvFile = tuple[str, Sequence[tuple[Any, ...]]]  # head and rows of a CSV file
@@ -629,7 +629,7 @@ def _case(built: Built) -> dict[str, Any]:
         if _far(built, n):  # a low pass of gyro noise, which would otherwise use the rate of the servos
             most_hz = round(QUIET * max(built.rigid_hz(p) for p in burning(built, n)), 2)
             own |= {
-                "filter": {"structure": orders[n], "bounds": {"pole_hz": [min(low, most_hz), most_hz]}},
+                "filter": {"structure": orders[n], "bounds": {"pole_hz": [min(low, round(0.5 * most_hz, 2)), most_hz]}},
                 "limits": {"filter_gain_at_infinity": HUSH},
             }
     return {
