@@ -41,7 +41,7 @@ MOST_BYTES = 1 << 32
 """The largest size of a file of the data set in memory, bytes; a thousand runs take about a megabyte."""
 MANIFEST, RUNS, HISTORIES, LOCK = "campaign.json", "runs", "histories", "lock"
 SHARD = "shard"  # key of campaign.json in a folder with a part of the runs (shards.py)
-LAYOUT = 2
+LAYOUT = 3
 _IDENTITY = "campaign", "disperse", "wind_model", "tables", "simulator"
 _NOT_IDENTITY = tuple(f"campaign.{key}" for key in ("runs", "batch", "keep", "success", "confidence"))
 Wait = Callable[[str], None]

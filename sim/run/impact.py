@@ -54,7 +54,7 @@ def vacuum_impacts(earth: Earth, time_s: Array, r_I_m: Array, v_I_mps: Array, gr
     `ground_m` is the geodetic altitude of the ground. The ellipse is intersected with the ellipsoid by iteration of
     the radius at the impact point, to 0.1 mm of altitude. The result is nan for an orbit above the ground, for an
     escape, and on an Earth without `has_impacts`; a state below the ground is its own impact point. J2 is neglected:
-    it moves the point by up to about 0.5 % of the distance (tests/test_oracle_impact.py).
+    it moves the point by up to about 0.5 % of the inertial path (tests/test_oracle_impact.py).
     """
     if not has_impacts(earth):
         return Impacts(*np.full((3, len(time_s)), math.nan))
