@@ -66,7 +66,7 @@ test-slim: $(PLACE)  ## install maxq without the viewer into .venv-slim (require
 
 test-browser: $(TO_TEST)  ## open `simreplay --web` and report pages in headless Chromium, and look at them
 	@echo "Opening simreplay --web and report pages in headless Chromium."
-	@$(PY) -m pytest tests/browser_replay.py tests/browser_pages.py -rs $(ARGS)
+	@$(PY) -m pytest tests/browser_replay.py tests/browser_pages.py tests/browser_workbench.py -rs $(ARGS)
 
 docs: $(TO_TEST)  ## build the documentation site into docs/build/html; its notebooks are executed
 	@echo "Building the documentation (about a minute; with the first flight of this checkout twenty seconds more)."

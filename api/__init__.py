@@ -69,6 +69,7 @@ if TYPE_CHECKING:  # for type checkers and editors; the interpreter finds these 
         loops,
     )
     from maxq.tools.design.designed import Designed
+    from maxq.tools.design.serve import WorkbenchServer
 
 __all__ = [
     "AnalysedLoop",
@@ -93,6 +94,7 @@ __all__ = [
     "SensitivityCurves",
     "TimeCurves",
     "Verification",
+    "WorkbenchServer",
     "WorstPoint",
     "bode",
     "builtin_names",
@@ -116,6 +118,7 @@ __all__ = [
     "replay",
     "vehicle",
     "verify",
+    "workbench",
     "worst_point",
 ]
 _HOMES = {
@@ -153,6 +156,7 @@ _HOMES = {
         "loops",
     ),
     "maxq.tools.design.designed": ("Designed",),
+    "maxq.tools.design.serve": ("WorkbenchServer",),
 }
 """The modules that define the names which this module only exports."""
 
@@ -349,6 +353,39 @@ def verify(design: str | Path, suite: str | Path = "standard", *overrides: str) 
     from maxq.design.verify.verify import verify as verify_design
 
     return verify_design(design_path(str(design)), read_suite(str(suite), overrides), memory=memory.default_folder())
+
+
+def workbench(
+    design: str | Path,
+    scenario: str | Path | None = None,
+    times_s: Sequence[float] = (),
+    *,
+    points: str | None = None,
+    also: Sequence[str] = (),
+    folder: str | Path = ".",
+    port: int = 0,
+) -> WorkbenchServer:
+    """Serve a page on which gains and filter of a design are changed by hand (`simdesign open`).
+
+    A notebook shows the page if its browser runs on the machine of its kernel.
+
+    :param design: Design file, folder with a design.toml, or the name of a built-in design.
+    :param scenario: Scenario whose flight contains the operating points. The default is that of the design.
+    :param times_s: Vehicle times of the operating points, s. The default are those of the design.
+    :param points: File of published derivatives in place of a scenario.
+    :param also: Designs to draw too.
+    :param folder: Folder in which trials are saved.
+    :param port: Port on this machine. The default is a free one.
+    :returns: The server, with the address in `url` and the design last shown in `trial`. It runs until `close()`.
+    :raises ScenarioError: If a design, the scenario or the file is invalid.
+    """
+    from maxq.tools.design.report import AnalysisOrder
+    from maxq.tools.design.serve import WorkbenchServer, workbench_of
+
+    given = {"scenario": scenario and str(scenario), "times_s": tuple(map(float, times_s)), "points": points}
+    chosen: dict[str, Any] = {key: value for key, value in given.items() if value}
+    order = AnalysisOrder(design=str(design), given=tuple(chosen), **chosen)
+    return WorkbenchServer(workbench_of(order, tuple(map(str, also)), str(folder)), port)
 
 
 def bode(

@@ -89,7 +89,7 @@ def test_former_options_are_subcommands(former: str, present: str) -> None:
         ("simrun search runs/first", "simrun: give a METRIC, e.g. simrun search runs/first max_alpha_deg"),
         (
             "simdesign bias nominal --kind pade",
-            "simdesign: --kind is an option of simdesign analyse, not of simdesign bias",
+            "simdesign: --kind is an option of simdesign analyse or open, not of simdesign bias",
         ),
         ("simdesign ksr3-robust --c law", "simdesign: --c is an option of simdesign export, not of simdesign optimise"),
         ("simdesign analyze a", "simdesign: what is 'analyze'? did you mean analyse?"),

@@ -20,6 +20,7 @@ _EXAMPLES = """\
   simrun nominal --set design=runs/mine/design.toml   fly the design found
   simdesign analyse ksr3-default           measure the margins of a built-in design
   simdesign analyse runs/mine              measure those of your design
+  simdesign open ksr3-default              change gains and filter by hand
   simdesign export ksr3-robust --c law     write the law as C99 sources
   simdesign bias nominal                   bias the pitch programme for a wind
 """
@@ -39,6 +40,7 @@ def _parser() -> Parser:
     parser.commands("CASE", lambda name: "optimise")
     _add_optimise(parser)
     _add_analyse(parser)
+    _add_open(parser)
     _add_others(parser)
     parser.about_itself(
         {
@@ -106,6 +108,26 @@ def _add_analyse(parser: Parser) -> None:
     add("--points FILE", "operating points of published derivatives (.toml, or built in) instead of a flight")
     add("--out DIR", "where to write (default: runs/analyse-<name of the design>)")
     _add_page(analyse)
+
+
+def _add_open(parser: Parser) -> None:
+    examples = """\
+  simdesign open ksr3-robust               change gains and filter of a built-in design by hand
+  simdesign open runs/mine --with ksr3-default   compare with another design
+  simdesign open greensite-hm3             a launcher known only by published derivatives
+"""
+    exits = {Exit.OK: "closed by Ctrl-C", Exit.BAD_INPUT: "bad input, a port in use, or files that cannot be read"}
+    about = "Change a design by hand on a local page, with its loops and limits"
+    parser = parser.command("open", about, examples, _open, exits)
+    parser.option("DESIGN", "design file, folder with a design.toml, or a built-in design")
+    _add_operating_points(parser, "the design's, if built in, else nominal")
+    add = parser.option
+    add("--kind sampled|pade|exact", "model of the flight computer (default: as designed, else sampled, as flown)")
+    add("--points FILE", "operating points of published derivatives (.toml, or built in) instead of a flight")
+    add("--with DESIGN...", "draw this design too; repeatable", dest="also")
+    add("--out DIR", "where trials are saved (default: the present folder)")
+    add("--port N", "port on this machine (default: a free one)", type=count_from_1)
+    add("--no-browser", "print the address only")
 
 
 def _add_page(parser: Parser) -> None:
@@ -215,6 +237,15 @@ def _analyse(*, no_pictures: bool = False, **given: Any) -> int:
     order = report.AnalysisOrder(page=not no_pictures, given=tuple(given), **given)
     file = points.points_of(order)
     return analyse.execute(order) if file is None else points.execute(order, file)
+
+
+def _open(
+    *, also: tuple[str, ...] = (), out: str | None = None, port: int = 0, no_browser: bool = False, **given: Any
+) -> int:
+    from maxq.tools.design import report, serve  # noqa: PLC0415  # lazy
+
+    order = report.AnalysisOrder(given=tuple(given), **given)
+    return serve.execute(order, also, out, port, browser=not no_browser)
 
 
 def _errata(**given: Any) -> int:

@@ -125,8 +125,13 @@ class Loop:
         return self._state_space
 
     @cached_property
+    def law_system(self) -> StateSpace:
+        """Return the state space of the law, from its inputs to the command."""
+        return self.law.state_space()
+
+    @cached_property
     def _state_space(self) -> StateSpace:
-        return chain(self.fixed.measured(self.law.inputs), self.law.state_space())
+        return chain(self.fixed.measured(self.law.inputs), self.law_system)
 
     def factors(self) -> tuple[ComplexArray, ComplexArray] | None:
         """Return the zeros and poles of L, in s or in z, or None for the kind `exact`, which is not rational."""

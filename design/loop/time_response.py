@@ -15,8 +15,10 @@ error of 1e-6 of the response for delays up to 50 ms and modes up to 20 Hz.
 from __future__ import annotations
 
 import math
+from collections.abc import MutableMapping
 from dataclasses import dataclass, replace
 from typing import Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import scipy.linalg
@@ -39,14 +41,16 @@ ORDER = 7
 STEPS = 1200  # of a continuous response
 _CONSTANTS, _SHORTEST_S, _LONGEST_S = 4.0, 2.0, 60.0  # time constants of the slowest pole; s
 
+_PATHS: MutableMapping[FixedPath, dict[tuple[tuple[str, ...], bool], StateSpace]] = WeakKeyDictionary()
+
 
 @dataclass(frozen=True)
 class TimeResponse:
     """The response of a closed loop at `time_s` (n,), the input beginning at 0.
 
-    `attitude_rad` and `rate_radps` are the law's measured angle and mean rate, `gimbal_rad` is the gimbal command with
-    its disturbance, and `alpha_rad` is the angle of attack in a gust, without it an empty array. Angles are deviations
-    from the operating point, in its plane and with the signs of its model.
+    `attitude_rad` and `rate_radps` are the law's measured angle and mean rate. `gimbal_rad` is the gimbal command with
+    its disturbance. `alpha_rad` is the angle of attack in a gust, and empty without one. Angles are deviations from the
+    operating point, in its plane and with the signs of its model.
     """
 
     time_s: Array
@@ -109,8 +113,9 @@ def gust_response(
 def _times(loop: Loop, first_s: float, last_s: float, steps: int) -> Array:
     """Return equally spaced times: the samples of a sampled loop, else `steps` steps."""
     if loop.sample_s is None:
-        return np.linspace(first_s, last_s, steps + 1 if last_s > first_s else 1)
-    return np.arange(round(first_s / loop.sample_s), math.floor(last_s / loop.sample_s + 1e-9) + 1) * loop.sample_s
+        return np.asarray(np.linspace(first_s, last_s, steps + 1 if last_s > first_s else 1), float)
+    first, last = round(first_s / loop.sample_s), math.floor(last_s / loop.sample_s + 1e-9)
+    return np.asarray(np.arange(first, last + 1) * loop.sample_s, float)
 
 
 def _duration_s(loop: Loop, given_s: float | None) -> float:
@@ -142,7 +147,8 @@ def _driven(loop: Loop, system: StateSpace, column: int, x: Array, source: _Sour
     whole[:n, :n], whole[:n, n:], whole[n:, n:] = system.a, by_source, source.a
     scale = np.ones(n + m)
     if loop.sample_s is None:
-        whole, (scale, _) = scipy.linalg.matrix_balance(whole, permute=False, separate=True)
+        balanced, (factors, _) = scipy.linalg.matrix_balance(whole, permute=False, separate=True)
+        whole, scale = np.asarray(balanced, float), np.asarray(factors, float)
         step = exponential(whole * (t[1] - t[0])) if len(t) > 1 else np.eye(n + m)
     else:
         step = whole
@@ -153,7 +159,7 @@ def _driven(loop: Loop, system: StateSpace, column: int, x: Array, source: _Sour
         step = step @ step
     states = states[: len(t)] * scale
     out = states[:, :n] @ system.c.T + np.outer(states[:, n:] @ source.c, system.d[:, column])
-    return out, states[-1, :n]
+    return np.asarray(out), states[-1, :n]
 
 
 def _response(t: Array, out: Array, name: str, wind_rad: Array | None = None, airspeed: float = 1.0) -> TimeResponse:
@@ -171,8 +177,8 @@ def closed_loop(loop: Loop, wind: bool = True) -> StateSpace:
     if loop.fixed.cut != "gimbal_command":
         raise ValueError(f"cut = {loop.fixed.cut!r}: a loop is closed at the gimbal command only")
     names = tuple(dict.fromkeys((*loop.law.inputs, "angle_rad", "rate_radps")))
-    path = _path(loop, names, wind)
-    law = loop.law.state_space()
+    path = _known_path(loop, names, wind)
+    law = loop.law_system
     n, m, p = len(path.a), len(law.a), len(names)
     sums = ANGLES[1] in loop.law.inputs  # the integral of the commanded attitude
     size = n + m + sums
@@ -211,6 +217,14 @@ def closed_loop(loop: Loop, wind: bool = True) -> StateSpace:
     c[3:, :n], d[3:, 2:] = path.c[vehicle], path.d[vehicle, 1:]
     states = (*path.states, *law.states, *(("attitude_command_rads",) * sums))
     return StateSpace(a, b, c, d, states, INPUTS[: 2 + wind], OUTPUTS[: 3 + len(vehicle)])
+
+
+def _known_path(loop: Loop, names: tuple[str, ...], wind: bool) -> StateSpace:
+    """Return `_path` from a cache, since it does not depend on the law."""
+    known = _PATHS.setdefault(loop.fixed, {})
+    if (names, wind) not in known:
+        known[names, wind] = _path(loop, names, wind)
+    return known[names, wind]
 
 
 def _path(loop: Loop, names: tuple[str, ...], wind: bool) -> StateSpace:
@@ -293,9 +307,11 @@ def _parallel(parts: list[StateSpace | None], further: int) -> StateSpace:
     """Return systems side by side, with None and `further` channels passed through."""
     each = [part or _through(1) for part in parts] + ([_through(further)] if further else [])
     a, b, c, d = (scipy.linalg.block_diag(*(getattr(one, name) for one in each)) for name in "abcd")
-    names = [tuple(f"{name}_{k + 1}" for k, one in enumerate(each) for name in getattr(one, which))
-             for which in ("states", "inputs", "outputs")]  # fmt: skip  # a table
-    return StateSpace(a, b, c, d, *names)
+    named = list(enumerate(each, 1))
+    states = tuple(f"{name}_{k}" for k, one in named for name in one.states)
+    inputs = tuple(f"{name}_{k}" for k, one in named for name in one.inputs)
+    outputs = tuple(f"{name}_{k}" for k, one in named for name in one.outputs)
+    return StateSpace(a, b, c, d, states, inputs, outputs)
 
 
 def _beside(part: StateSpace, passed: tuple[str, ...]) -> StateSpace:

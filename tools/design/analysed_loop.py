@@ -82,8 +82,8 @@ class NicholsCurves:
 class SensitivityCurves:
     """The closed-loop functions over frequency, all (n,).
 
-    `s` = 1 / (1 + L), `t` = L / (1 + L), `cs` = C S from a rate at the gyro (rad/s) to the gimbal command (rad), and
-    `ps` = P S from an angle added to the gimbal command (rad) to the mean rate (rad/s). `peak_s` and `peak_t` are the
+    `s` is 1 / (1 + L) and `t` is L / (1 + L). `cs` is C S, from a rate at the gyro (rad/s) to the gimbal command (rad).
+    `ps` is P S, from an angle added to the gimbal command (rad) to the mean rate (rad/s). `peak_s` and `peak_t` are the
     largest `|S|` and `|T|` over all frequencies. They are NaN for an unstable loop.
     """
 

@@ -134,6 +134,35 @@ def nichols_panel(every: Sequence[Series], zone: Sequence[Series], title: str) -
     return Panel(title, list(zone), "phase of L, deg", "|L|, dB", (-360.0, 0.0), (LOWEST_DB, top), plane="nichols")
 
 
+def limits_of_planes(wanted: Wanted) -> dict[str, list[Series]]:
+    """Return the limits of a loop as series, by the plane in which they are drawn."""
+    return {"nichols": zone_of(wanted), "critical": zone_near_minus_one(wanted), "distance": _least(wanted)}
+
+
+def loop_panels(loops: Sequence[Series]) -> list[Panel]:
+    """Return empty panels for Bode, |1 + L|, Nichols and Nyquist plots, with axes that contain all of the loops."""
+    gain, phase = bode_panels(loops)
+    reach = min(max(1.5, *(1.05 * _drawn_in(float(np.max(s["y"]))) for s in loops)), _FARTHEST)
+    nyquist = Panel(
+        "Nyquist, logarithmic beyond 0 dB",
+        [],
+        x_range=(-reach, reach),
+        y_range=(-reach, reach),
+        plane="nyquist",
+        equal=True,
+    )
+    distance = Panel("Distance to -1", [], "frequency, Hz", "|1 + L|", gain.x_range, (0.0, 2.0), log_x=True)
+    distance.plane = "distance"
+    critical = Panel(
+        "Nyquist near -1, to scale", [], "Re L", "Im L", (-1.6, 0.6), (-1.1, 1.1), plane="critical", equal=True
+    )
+    nichols = nichols_panel(loops, [], "Nichols")
+    panels = [gain, phase, distance, nichols, nyquist, critical]
+    for panel, height in zip(panels, (258, 258, 258, 258, 275, 260), strict=True):
+        panel.height = height
+    return panels
+
+
 def explorer(
     judged: Sequence[JudgedLoop], names: Sequence[str], wanted: Sequence[Wanted], planes: Sequence[str]
 ) -> Plot:
@@ -156,29 +185,11 @@ def explorer(
             at=j.time_s,
             text=margins_text(j),
             first=size[n] == min(size),
-            limits={"nichols": zone_of(limits), "critical": zone_near_minus_one(limits), "distance": _least(limits)},
+            limits=limits_of_planes(limits),
         )
         for n, (j, name, limits, plane) in enumerate(zip(judged, names, wanted, planes, strict=True))
     ]
-    gain, phase = bode_panels(loops)
-    reach = min(max(1.5, *(1.05 * _drawn_in(float(np.max(s["y"]))) for s in loops)), _FARTHEST)
-    nyquist = Panel(
-        "Nyquist, logarithmic beyond 0 dB",
-        [],
-        x_range=(-reach, reach),
-        y_range=(-reach, reach),
-        plane="nyquist",
-        equal=True,
-    )
-    distance = Panel("Distance to -1", [], "frequency, Hz", "|1 + L|", gain.x_range, (0.0, 2.0), log_x=True)
-    distance.plane = "distance"
-    critical = Panel(
-        "Nyquist near -1, to scale", [], "Re L", "Im L", (-1.6, 0.6), (-1.1, 1.1), plane="critical", equal=True
-    )
-    nichols = nichols_panel(loops, [], "Nichols")
-    panels = [gain, phase, distance, nichols, nyquist, critical]
-    for panel, height in zip(panels, (258, 258, 258, 258, 275, 260), strict=True):
-        panel.height = height
+    panels = loop_panels(loops)
     slider = "The slider chooses the operating point; left and right arrow keys move it. " if len(judged) > 1 else ""
     caption = (
         f"{slider}Red: the gain and phase margins, and the least |1 + L|. Nichols: over contours of |T| in dB and of "

@@ -136,8 +136,8 @@ def write_page(path: Path, shown: DesignPage) -> Path:
         tone="good" if shown.passed else "bad",
         tightest=[(_sentence(c), _outcome(c)) for c in first],
         limits=[
-            *((_caption(g), [_row(c) for c in g.checks]) for g in shown.groups),
-            *((caption, [_row(c) for c in checks]) for caption, checks in shown.flown if checks),
+            *((_caption(g), [check_row(c) for c in g.checks]) for g in shown.groups),
+            *((caption, [check_row(c) for c in checks]) for caption, checks in shown.flown if checks),
         ],
         tables=[*_tables(shown.groups), *shown.more],
         meanings=_MEANINGS,
@@ -182,7 +182,7 @@ def _cells(check: Check) -> tuple[str, str, str, str]:
     return f"{check.sense} {check.wanted:g}{unit}", worst + unit * math.isfinite(value), margin, at
 
 
-def _row(check: Check) -> tuple[str, ...]:
+def check_row(check: Check) -> tuple[str, ...]:
     limit, value, left, at = _cells(check)
     if drawn.is_stability(check):
         limit, value, left = "0", f"{float(check.values[check.worst]):g}" if not check.passed else "0", ""

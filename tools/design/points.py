@@ -166,6 +166,11 @@ def _kind_of(order: AnalysisOrder, read: GivenPoints, basis: Basis | None) -> Lo
     return "sampled" if samples else "exact"
 
 
+def kind_of_points(order: AnalysisOrder, read: GivenPoints, design: Design) -> LoopKind:
+    """Return the kind of loop of a design at points, as in an analysis. Raises CommandError."""
+    return _kind_of(order, read, stated_basis(design, 0, order.design) if design.basis else None)
+
+
 def _judged_by(design: Design, basis: Basis, times_s: list[float], given: tuple[str, ...]) -> str:
     count = f"{len(times_s)} operating point{'s' * (len(times_s) != 1)}"
     if design.basis is None:

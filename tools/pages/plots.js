@@ -40,7 +40,7 @@
   };
 
   function inPlane(plane, s) {
-    const to = PLANES[plane], curve = { kind: "line", colour: "blue", name: "L", x: [], y: [], index: [] };
+    const to = PLANES[plane], curve = { kind: "line", colour: s.colour || "blue", dash: s.dash, name: s.label || "L", x: [], y: [], index: [] };
     curve.read = (i, k = curve.index[i]) => `${shown(s.x[k], 3)} Hz\n|L| ${s.y[k].toFixed(1)} dB, phase ${s.y2[k].toFixed(0)} deg\n|1 + L| ${shown(distance(s.y[k], s.y2[k]), 3)}`;
     const add = (x, y, k) => { curve.x.push(x); curve.y.push(y); curve.index.push(k); };
     s.x.forEach((hz, k) => {
@@ -49,16 +49,18 @@
       add(x, y, k);
     });
     const out = [], red = (px, name) => {
-      out.push({ kind: "line", colour: "limit", width: 3, name: "margin", faint: true, x: px.map((p) => p[0]), y: px.map((p) => p[1]) });
-      out.push({ kind: "points", colour: "limit", name: "", x: [px[0][0]], y: [px[0][1]], labels: [name], read: () => name });
+      out.push({ kind: "line", colour: "limit", width: 3, name: "margin", faint: true, live: s.live, x: px.map((p) => p[0]), y: px.map((p) => p[1]) });
+      out.push({ kind: "points", colour: "limit", name: "", live: s.live, x: [px[0][0]], y: [px[0][1]], labels: [name], read: () => name });
     };
+    if (s.under) return [curve]; // below another loop, which has marks and limits
+    curve.live = s.live;
     if (plane === "gain") out.push({ kind: "limit", colour: "grey", name: "0 dB", value: 0, seen: true });
     if (plane === "phase") for (let k = -12; k < 4; k++) out.push({ kind: "limit", colour: "grey", dash: "2 2", name: "-180 deg ± 360 deg", value: 360 * k - 180, seen: false });
     const around = plane === "nyquist" || plane === "critical"; // planes of L itself
     out.push(...(s.limits && s.limits[plane] || []), curve);
     for (const m of s.marks) {
       const p = to(m.x, m.y, m.y2), whole = 360 * Math.round((m.y2 + 180) / 360) - 180, way = [...Array(13).keys()].map((k) => m.y2 + (whole - m.y2) * k / 12);
-      const dot = { kind: "points", colour: m.colour, name: "", x: [p[0]], y: [p[1]], labels: [plane === "phase" ? "" : m.name], read: () => `${m.name}\n${shown(m.x, 3)} Hz, ${m.y.toFixed(1)} dB` };
+      const dot = { kind: "points", colour: m.colour, name: "", live: s.live, x: [p[0]], y: [p[1]], labels: [plane === "phase" ? "" : m.name], read: () => `${m.name}\n${shown(m.x, 3)} Hz, ${m.y.toFixed(1)} dB` };
       if (m.what === "lobe" && plane !== "distance") out.push(dot);
       else if (m.what === "least" && plane === "distance") out.push({ ...dot, colour: "limit" });
       else if (m.what === "least" && plane === "critical") red([p, [-1, 0]], `|1 + L| ${m.name}`);
@@ -126,9 +128,9 @@
   const bare = (panel) => panel.rows || panel.plane === "nyquist"; // no scale at the left
   const roomLeft = (panel, view, height) => bare(panel) ? 8 : 10 + LETTER * Math.max(2, ...ticks(...view.y, panel.log_y, height - 30, false).map(([, text]) => text.length));
 
-  function draw(frame, panel, series, view, height, left) {
+  function draw(frame, panel, series, view, height, left, wide) {
     frame.replaceChildren();
-    const width = Math.max(frame.clientWidth, 180);
+    const width = Math.max(wide, 180);
     const box = { top: 6, right: 12, bottom: 20, left };
     let [xs, ys] = [view.x, view.y];
     const w = width - box.left - box.right, needed = (ys[1] - ys[0]) / (xs[1] - xs[0]) * w + box.top + box.bottom + 52; // and names above and below
@@ -185,10 +187,10 @@
       }
     };
     const mapped = (x, y, text) => names.push({ x, y, name: text, colour: "dim", size: 9 });
-    if (panel.plane === "nichols") contours(inside, X, Y, path, ys, mapped);
+    if (panel.plane === "nichols") contours(inside, X, Y, path, ys, mapped, panel, [xs, ys, box.left, w, h].join());
     if (panel.plane === "nyquist") rings(inside, X, Y, mapped, [-6, 0, 10, 20, 30, 40, 60]);
     if (panel.plane === "critical") rings(inside, X, Y, mapped, [-6, 0]);
-    for (const s of series) {
+    const put = (some, inside) => { for (const s of some) {
       const look = `stroke:${colour(s.colour)};stroke-width:${s.width || 1.5};` + (s.dash ? `stroke-dasharray:${s.dash};` : "");
       const px = s.x ? s.x.map((_, k) => place(s, k)) : [];
       if (s.kind === "band" || s.kind === "shape") {
@@ -235,13 +237,27 @@
         if (s.labels && s.labels[k]) names.push({ x: p[0], y: p[1], name: s.labels[k], colour: s.colour, must: true });
       }
       px.forEach(([x, y], k) => { if (!s.faint && isFinite(x + y)) points.push({ x, y: s.kind === "bars" ? Math.min(y, box.top + h - 4) : y, s, k }); });
-    }
+    } };
+    put(series.filter((s) => !s.live), inside);
+    const layer = make(inside, "g"), fixed = points.length, still = [...names], before = texts.length;
+    put(series.filter((s) => s.live), layer);
     if (panel.plane !== "nyquist") line(svg, box.left, box.top + h, box.left + w, box.top + h, "dim");
     if (!rows) line(svg, box.left, box.top, box.left, box.top + h, "dim");
     for (const s of series) if (s.kind === "limit" && s.note && s.value >= ys[0] && s.value <= ys[1])
       names.push({ x: box.left + w - s.note.length * LETTER / 2, y: Y(s.value), name: s.note, colour: s.colour, must: true, near: true });
-    label(svg, names, texts, obstacles, solids, { x0: box.left, y0: box.top, x1: box.left + w, y1: box.top + h });
-    return { svg, points, box, w, h, width, height, back: (p) => {
+    const frameBox = { x0: box.left, y0: box.top, x1: box.left + w, y1: box.top + h }, named = make(svg, "g");
+    label(named, names, texts, obstacles, solids, frameBox);
+    const refresh = (some) => { // only the live series, on the same axes; their names may cover curves
+      points.length = fixed;
+      names.splice(0, names.length, ...still);
+      obstacles.length = 0;
+      texts.length = before;
+      layer.replaceChildren();
+      named.replaceChildren();
+      put(some.filter((s) => s.live), layer);
+      label(named, names, texts, [], solids, frameBox);
+    };
+    return { svg, points, refresh, box, w, h, width, height, back: (p) => {
       const un = (log, [low, high], f) => log ? low * (high / low) ** f : low + f * (high - low);
       const f = (p[1] - box.top) / h;
       return [un(panel.log_x, xs, (p[0] - box.left) / w), un(panel.log_y, ys, panel.down ? f : 1 - f)];
@@ -249,7 +265,15 @@
   }
 
   // M and N contours: where T = L / (1 + L) has a size, named by it in dB, or a phase. From L = T / (1 - T).
-  function contours(into, X, Y, path, [low, high], name) {
+  function contours(into, X, Y, path, [low, high], name, panel, view) {
+    const stroke = (d) => make(into, "path", "", { d, style: `fill:none;stroke:${colour("line")};stroke-width:0.8` });
+    if (panel.contours && panel.contours.view === view) { // as drawn before
+      panel.contours.paths.forEach(stroke);
+      panel.contours.names.forEach((one) => name(...one));
+      return;
+    }
+    const paths = [], named = [];
+    Object.defineProperty(panel, "contours", { value: { view, paths, names: named }, configurable: true, enumerable: false });
     const spot = (m, turn) => {
       const [re, im] = [m * Math.cos(turn), m * Math.sin(turn)], d = (1 - re) ** 2 + im * im;
       const [a, b] = [(re * (1 - re) - im * im) / d, im / d];
@@ -263,7 +287,8 @@
         if (k && Math.abs(x - spots[k - 1][0]) > 180) px.push([NaN, NaN]);
         px.push([X(x), Y(y)]);
       });
-      make(into, "path", "", { d: path(px), style: `fill:none;stroke:${colour("line")};stroke-width:0.8` });
+      paths.push(path(px));
+      stroke(paths[paths.length - 1]);
     };
     for (const db of M_DB) {
       const m = 10 ** (db / 20), spots = [...Array(361).keys()].map((k) => spot(m, (-359.9 + k * 359.8 / 360) * Math.PI / 180));
@@ -271,7 +296,8 @@
       const seen = spots.filter(([x, y]) => y > low && y < high && x > -340);
       if (seen.length && db < 12) { // the innermost lies on -1
         const best = seen.reduce((a, b) => (db < 0 ? b[0] > a[0] : b[1] > a[1]) ? b : a);
-        name(X(best[0]), Y(best[1]), `${db} dB`);
+        named.push([X(best[0]), Y(best[1]), `${db} dB`]);
+        name(...named[named.length - 1]);
       }
     }
     for (const deg of N_DEG) trace([...Array(161).keys()].map((k) => spot(10 ** ((-70 + k * 130 / 160) / 20), -deg * Math.PI / 180)));
@@ -489,7 +515,9 @@
     show(now);
   }
 
-  const redraws = [];
+  const redraws = [], fresh = {};
+  // draws other data in the panels of a figure; a zoomed panel remains so. `quick` draws only live series, on the same axes
+  globalThis.maxqFigures = { update: (figure) => fresh[figure.name](figure) };
   for (const figure of JSON.parse(document.getElementById("figures").textContent)) {
     const frame = document.getElementById("figure-" + figure.name);
     if (!frame) continue;
@@ -513,10 +541,10 @@
     });
     keys(top, figure, cells);
     const redraw = () => {
-      for (const c of cells) c.needs = roomLeft(c.panel, c.view, c.height);
+      for (const c of cells) [c.needs, c.wide] = [roomLeft(c.panel, c.view, c.height), c.inner.clientWidth]; // before any change, so that the page is laid out once
       for (const c of cells) {
         const focused = c.inner.contains(document.activeElement), left = Math.max(...cells.filter((d) => d.column === c.column && !bare(d.panel)).map((d) => d.needs), bare(c.panel) ? c.needs : 0);
-        c.state = draw(c.inner, c.panel, seriesOf(c.panel, loop), c.view, c.height, bare(c.panel) ? c.needs : left);
+        c.state = draw(c.inner, c.panel, seriesOf(c.panel, loop), c.view, c.height, bare(c.panel) ? c.needs : left, c.wide);
         c.state.cursor = c.cursor;
         c.reset.hidden = c.view === c.whole;
         if (c.under) c.under.style.paddingLeft = `${c.state.box.left - c.state.box.right}px`;
@@ -535,6 +563,16 @@
     };
     for (const c of cells) c.reset.addEventListener("click", () => show(c, null));
     redraws.push(redraw);
+    fresh[figure.name] = ({ panels, quick }) => {
+      panels.forEach((panel, k) => Object.assign(cells[k].panel, panel));
+      if (quick) { cells.forEach((c) => c.state.refresh(seriesOf(c.panel))); return; }
+      for (const c of cells) {
+        const zoomed = c.view !== c.whole, every = seriesOf(c.panel);
+        c.whole = { x: range(every, "x", c.panel.x_range, c.panel.log_x), y: range(every, "y", c.panel.y_range, c.panel.log_y) };
+        if (!zoomed) c.view = c.whole;
+      }
+      redraw();
+    };
     if (figure.loops.length) chooser(controls, figure, (chosen) => { loop = chosen; redraw(); });
     else redraw();
     const link = make(frame.querySelector("figcaption") || frame, "a", "data (CSV)", { class: "data", download: `${figure.name}.csv`, href: "#" });

@@ -35,7 +35,7 @@ def render(template: str, plots: Sequence[Plot] = (), **values: Any) -> str:
     """
     given: dict[str, Any] = {"date": datetime.date.today().isoformat(), "plots": plots, "figures": "", "script": ""}
     if plots:
-        given |= {"figures": Markup(as_json(plots)), "script": Markup(_file("plots.js"))}  # our own text, escaped
+        given |= {"figures": Markup(as_json(plots)), "script": script_file("plots.js")}  # our own text, escaped
     page = _environment().get_template(template).render(given | values)
     names = re.findall(r"<h2>(.*?)</h2>", page)
     page = _numbered(page, r"<h2>(.*?)</h2>", lambda n, name: f'<h2 id="s{n}">{n} {name}</h2>')
@@ -51,6 +51,11 @@ def render(template: str, plots: Sequence[Plot] = (), **values: Any) -> str:
 def _numbered(page: str, pattern: str, form: Callable[[int, str], str]) -> str:
     numbers = itertools.count(1)
     return re.sub(pattern, lambda m: form(next(numbers), m[1]), page)
+
+
+def script_file(name: str) -> Markup:
+    """Return a script of this folder, for a script element."""
+    return Markup(_file(name))  # our own text
 
 
 def _file(name: str) -> str:

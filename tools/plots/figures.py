@@ -140,21 +140,33 @@ def thinned(x: Any, y: Any, steps: float = 400.0) -> tuple[Any, Any]:
 
 def as_json(plots: Iterable[Plot]) -> str:
     """Return figures as JSON for a script element. No character of the text can end the element."""
-    text = json.dumps([_plain(vars(p) | {"panels": [vars(panel) for panel in p.panels]}) for p in plots])
+    text = json.dumps([plain(vars(p) | {"panels": [vars(panel) for panel in p.panels]}) for p in plots])
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return a value for JSON: numbers with six digits, and None for numbers that are not finite."""
     if isinstance(value, dict):
-        return {key: _plain(v) for key, v in value.items()}
+        return {key: plain(v) for key, v in value.items()}
+    if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.ndim == 1:
+        return _rounded(value)
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if isinstance(value, float):
         return float(f"{value:.6g}") if math.isfinite(value) else None
     return value
+
+
+def _rounded(values: Any) -> list[float | None]:
+    """Return `plain` of an array (n,), at once for all numbers."""
+    finite = np.isfinite(values)
+    x = np.where(finite, values, 0.0)
+    digits = np.clip(5.0 - np.floor(np.log10(np.maximum(np.abs(x), 1e-17))), -22, 22)  # 10**22 is exact
+    up, down = 10.0 ** np.maximum(digits, 0.0), 10.0 ** np.maximum(-digits, 0.0)
+    out = np.round(x * up / down) / up * down
+    return [v if ok else None for v, ok in zip(out.tolist(), finite.tolist(), strict=True)]
 
 
 def as_csv(plot: Plot) -> str:
@@ -179,7 +191,7 @@ def as_csv(plot: Plot) -> str:
             for row in zip(names, *columns, strict=True):
                 write((panel.title, *row))
     for s in plot.loops:
-        for row in zip(*(_plain(s[key]) for key in ("x", "y", "y2")), strict=True):
+        for row in zip(*(plain(s[key]) for key in ("x", "y", "y2")), strict=True):
             write((s["name"], "L: x Hz, y dB, y2 deg", *row, ""))
     return out.getvalue()
 
@@ -190,4 +202,4 @@ def _no_formula(cell: Any) -> Any:
 
 
 def _cells(values: Any, count: int) -> list[Any]:
-    return [""] * count if values is None else ["" if v is None else v for v in _plain(values)]
+    return [""] * count if values is None else ["" if v is None else v for v in plain(values)]
