@@ -60,9 +60,8 @@ def picture(page: Page, name: str) -> None:
 
 
 def settled(page: Page, before: Any) -> Any:
-    """Wait for other figures than `before`, and return them."""
-    until(page, f"{TRIAL} !== {before!r}")
-    time.sleep(0.3)
+    """Wait until nothing more is drawn and the figures differ from `before`. Return them."""
+    until(page, f"!document.getElementById('latency').dataset.busy && {TRIAL} !== {before!r}")
     return value(page, TRIAL)
 
 
@@ -92,10 +91,10 @@ def test_figures_follow_the_sliders_by_keyboard_with_undo_and_saving(
     picture(page, f"workbench-{width}-{scheme}.png")
     for _ in range(12):
         value(page, "document.getElementById('undo').click()")
-    until(page, f"{TRIAL} === {moved!r}")
+    until(page, f"!document.getElementById('latency').dataset.busy && {TRIAL} === {moved!r}")
     for _ in range(4):
         value(page, "document.getElementById('undo').click()")
-    until(page, f"{TRIAL} === {opened!r}")
+    until(page, f"!document.getElementById('latency').dataset.busy && {TRIAL} === {opened!r}")
     assert value(page, "document.getElementById('undo').disabled")
     value(page, "document.getElementById('redo').click()")
     redone = settled(page, opened)

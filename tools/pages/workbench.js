@@ -29,6 +29,7 @@
     const since = performance.now();
     if (busy) { waiting = { reference: reference || Boolean(waiting && waiting.reference) }; return; }
     busy = true;
+    get("latency").dataset.busy = "yes"; // until nothing more will be drawn
     try {
       const found = await ask("show", { ...state, reference });
       if (found.references) references = found.references;
@@ -40,13 +41,14 @@
       say("");
     } catch (problem) { say(problem.message === "Failed to fetch" ? "the command has ended: no further changes" : problem.message, true); }
     busy = false;
+    if (!still && !waiting) delete get("latency").dataset.busy;
     if (waiting) { const next = waiting; waiting = null; follow(next.reference); }
   }
 
   let still = 0;
   function draw(trial, quick = false) {
     clearTimeout(still);
-    if (quick) still = setTimeout(() => draw(trial), 250);
+    still = quick ? setTimeout(() => { draw(trial); if (!busy) delete get("latency").dataset.busy; }, 250) : 0;
     const others = [...references].reverse(), every = [...others, trial], loop = figures.loop.panels;
     maxqFigures.update({ name: "loop", quick, panels: loop.map(() => ({ series: every.map((one) => one.curve) })) });
     const axis = figures.locus.panels[0].series.filter((s) => s.kind === "at");
