@@ -466,11 +466,11 @@ def read_case(name: str | Path, overrides: Iterable[str] = ()) -> LoadedCase:
                 allowed = f"what 'simvehicle {layout} --out {layout}' writes here, first"
             raise source.error(("scenario",), error.problem, value=case.scenario, allowed=allowed) from None
         raise
-    start = _start_design(case, tree, scenario)
-    return LoadedCase(case.model_copy(update={"scenario": flown}), label, scenario, start)
+    named = case.model_copy(update={"scenario": flown})
+    return LoadedCase(named, label, scenario, _start_design(case, tree, scenario))
 
 
-def _beside(of: Model, tree: Any, file: Path | None) -> Model:
+def _beside(of: Model, tree: Any, file: Path) -> Model:
     """Return a case or its stage with the path of the campaign of its [robust], which is in the folder of the file."""
     robust, campaign = getattr(of, "robust", None), tree.get("robust", {}).get("campaign")
     if robust is None or not isinstance(campaign, Text):
