@@ -83,7 +83,8 @@ def test_merged_shards_are_one_campaign(flown: tuple[LoadedCampaign, Path], tmp_
     ours, theirs = (pq.read_table(place / "histories").sort_by("run") for place in both)
     assert ours.to_pylist() == theirs.to_pylist()
     assert len(theirs) == 9
-    assert judged(DataSet(tmp_path / "merged", loaded)) == judged(DataSet(folder / "whole", campaign))
+    verdicts = [judged(DataSet(place, of)) for place, of in zip(both, (loaded, campaign), strict=True)]
+    assert repr(verdicts[0]) == repr(verdicts[1])  # from Python 3.13 on, records that contain nan are not equal
     manifests = [json.loads((place / "campaign.json").read_text()) for place in both]
     assert manifests[0] == manifests[1]
     assert run_campaign(campaign, tmp_path / "merged").flown == 0
