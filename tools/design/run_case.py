@@ -143,9 +143,9 @@ def make(
                 watch = lambda n, of, at=about: progress.show(f"{at}: orders", n, of)  # noqa: E731  # short
                 solved.append(solve_orders(order_cases(stage), mine, watch))
             if aims is not None and not interrupted:
-                watch = lambda n, of: progress.show("tracing the trade-off", n, of)  # noqa: E731  # short
-                starts = [solution.law for _, solution in made.results]
-                trade = trade_off(made.stages[0], made.plants[0], aims, starts, watch)
+                laws = [solution.law for _, solution in made.results]
+                tracing = partial(progress.show, "tracing the trade-off")
+                trade = trade_off(made.stages[0], made.plants[0], aims, laws, tracing)
         except KeyboardInterrupt:  # the design itself is complete
             solved, trade, interrupted = [], (), True
         except ValueError as error:
