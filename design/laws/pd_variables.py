@@ -138,8 +138,8 @@ class PdVariables:
         small: tuple[Key, ...] = ("q_alpha_Padeg",) if load else case.objective_stations_m(stations)
         soft = {one.quantity: (case.term_of(k), one) for k, one in case.soft_goals.items()}
         small = (*small, *(key for key in WIND_LIMITS if key in soft))
-        self._targets = {key: one.limit for key, (_, one) in soft.items()}
-        parts = {key: (term, one.weight or 1.0) for key, (term, one) in soft.items()}
+        self._targets: dict[Key, float | None] = {key: one.limit for key, (_, one) in soft.items()}
+        parts: dict[Key, tuple[int, float]] = {key: (term, one.weight or 1.0) for key, (term, one) in soft.items()}
         self._of_wind = [key for key in known if task.limits.asked(key) or key in small]
         self._first_of_wind = len(self.limits)
         self.limits = (
@@ -332,8 +332,8 @@ class PdVariables:
         for k, key in enumerate(self._of_wind):
             i = np.flatnonzero(held[k])
             most = self.task.limits[key][i]
-            if self._targets.get(key) is not None:
-                most = np.full(len(i), self._targets[key])
+            if (target := self._targets.get(key)) is not None:
+                most = np.full(len(i), target)
             excess_db = DB * np.log(value[k, i] / np.where(np.isnan(most), 1.0, most))
             out.append(LimitValues(first + k, i, value[k, i], most, excess_db, by[k, i] * DB / value[k, i, None]))
         return out

@@ -222,7 +222,8 @@ def _gain_side(sign: float) -> Assessment:
     """Return the function of the upper (`sign` 1) or the lower (-1) gain margin."""
 
     def parts(seen: Seen, least: Array) -> list[JudgedFeatures]:
-        return [(which & (sign * seen.gain_db < 0.0), *rest) for which, *rest in _gain_margin(seen, least)[:1]]
+        ((which, value, limit, excess), *_) = _gain_margin(seen, least)
+        return [(which & (sign * seen.gain_db < 0.0), value, limit, excess)]
 
     return parts
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from maxq.design.case.schema import LoadedCase, ObjectiveName, ObjectiveSection
+from maxq.design.case.schema import Case, LoadedCase, ObjectiveName, ObjectiveSection
 from maxq.design.laws.law import DesignedLaw
 from maxq.design.model.node import flown_point
 from maxq.design.optimise.at_nodes import make_problem
@@ -76,6 +76,12 @@ def aims_of(text: str) -> tuple[Aim, Aim]:
     return AIMS[names[0]], AIMS[names[1]]
 
 
+def check_aims(case: Case, aims: tuple[Aim, Aim]) -> None:
+    """Raise ValueError if the case has no wind for the load."""
+    if any(aim.kind == "load" for aim in aims) and case.wind is None:
+        raise ValueError("--pareto with load: the case has no wind; allowed is a case with a table [wind]")
+
+
 def trade_off(
     loaded: LoadedCase,
     plants: Plants,
@@ -91,9 +97,7 @@ def trade_off(
     feasible design are omitted. Raises ValueError if an end is
     infeasible, or if the case has no wind for the load.
     """
-    case = loaded.case
-    if any(aim.kind == "load" for aim in aims) and case.wind is None:
-        raise ValueError("--pareto with load: the case has no wind; allowed is a case with a table [wind]")
+    check_aims(loaded.case, aims)
     first, second = (_minimised(loaded, aim, aims) for aim in aims)
     ends, steps = list[Solution](), 2 * count - 2
     for n, one in enumerate((first, second)):

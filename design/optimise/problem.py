@@ -164,7 +164,10 @@ class Problem:
         limited = [limit for limit in LIMITS if limit.asked(limits, common)]
         made_small = [] if objective.criterion is None else [objective.criterion]
         self.criteria = [*made_small, *limited, *goals.criteria]
-        self._own = [*self.law.limits, *self.responses.limits]  # kinds of rows without a feature
+        self._own: list[LawLimit | ResponseGoal] = [
+            *self.law.limits,
+            *self.responses.limits,
+        ]  # kinds of rows without a feature
         self.kinds: list[Criterion | LawLimit | ResponseGoal] = [*self.criteria, *self._own]
         self._weights = np.array([kind.weight for kind in self.criteria])
         self._searches: list[FeatureSearch] = list(

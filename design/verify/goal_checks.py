@@ -77,7 +77,8 @@ def step_responses(loop: Loop, until_s: float) -> dict[str, Array]:
     measured = (*inputs, *(() if ANGLES[0] in inputs else ANGLES[:1]))
     path, law = loop.fixed.measured(measured), loop.law.state_space()
     count, n = math.ceil(until_s / loop.sample_s - 1e-9) + 1, len(path.a)
-    angle, out = measured.index(ANGLES[0]), {"attitude": [], "gimbal": [], "offset": []}
+    angle = measured.index(ANGLES[0])
+    out: dict[str, list[float]] = {"attitude": [], "gimbal": [], "offset": []}
     for commanded, offset in ((1.0, 0.0), (0.0, 1.0)):
         x, held, summed = np.zeros(n), np.zeros(len(law.a)), 0.0
         for _ in range(count):
@@ -90,10 +91,10 @@ def step_responses(loop: Loop, until_s: float) -> dict[str, Array]:
             held = law.a @ held + law.b @ error
             x = path.a @ x + path.b[:, 0] * (command + offset)
             if commanded:
-                out["attitude"].append(y[angle])
+                out["attitude"].append(float(y[angle]))
                 out["gimbal"].append(command)
             else:
-                out["offset"].append(y[angle])
+                out["offset"].append(float(y[angle]))
     return {name: np.array(values) for name, values in out.items()}
 
 

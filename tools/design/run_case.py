@@ -30,7 +30,7 @@ from maxq.design.laws.schedule import UnsolvableError
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
 from maxq.design.model.powered import loss_text
-from maxq.design.optimise.pareto import Aim, TradePoint, aims_of, trade_off
+from maxq.design.optimise.pareto import Aim, TradePoint, aims_of, check_aims, trade_off
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.search import SearchProgress as Watch
 from maxq.design.optimise.solution import Solution
@@ -133,6 +133,7 @@ def make(
             raise ScenarioError(loaded.label, said, "stage") from None
         except (UnsolvableError, ValueError) as error:
             raise ScenarioError(loaded.label, str(error)) from None
+        untraced = ""
         solved, trade, interrupted = list[FoundDesigns](), tuple[TradePoint, ...](), made.interrupted
         if trials and not interrupted:
             made, interrupted = _with_trials(made, progress, stop)
@@ -143,13 +144,13 @@ def make(
                 watch = lambda n, of, at=about: progress.show(f"{at}: orders", n, of)  # noqa: E731  # short
                 solved.append(solve_orders(order_cases(stage), mine, watch))
             if aims is not None and not interrupted:
-                watch = lambda n, of: progress.show("tracing the trade-off", n, of)  # noqa: E731  # short
-                starts = [solution.law for _, solution in made.results]
-                trade = trade_off(made.stages[0], made.plants[0], aims, starts, watch)
+                laws = [solution.law for _, solution in made.results]
+                tracing = partial(progress.show, "tracing the trade-off")
+                trade = trade_off(made.stages[0], made.plants[0], aims, laws, tracing)
         except KeyboardInterrupt:  # the design itself is complete
             solved, trade, interrupted = [], (), True
         except ValueError as error:
-            raise ScenarioError(loaded.label, str(error)) from None
+            untraced = str(error)  # the design itself is complete
         results = made.results
         with Interruption() as interruption:  # write the result even if Ctrl-C is pressed now
             forget_pictures(folder)
@@ -178,6 +179,8 @@ def make(
             tell("\n" + "\n".join(orders_table(found)))
     if aims is not None and trade:
         tell("\n" + "\n".join(trade_table(trade, aims)))
+    if untraced:
+        tell("", f"no trade-off: {untraced}")
     tell("\nflights", *(f"  {one.text}" for one in made.rounds))
     if made.uncovered:
         tell("", *uncovered_table(loaded.scenario.vehicle, made.uncovered))
@@ -190,6 +193,7 @@ def make(
 def _aims(pareto: str, loaded: LoadedCase) -> tuple[Aim, Aim]:
     """Return the objectives of --pareto. Raises ValueError for others, and for a case with several stages."""
     aims, stages = aims_of(pareto), each_stage(loaded)
+    check_aims(loaded.case, aims)
     if len(stages) > 1 or len(loaded.scenario.vehicle.stage) > 1:
         raise ValueError("--pareto: the vehicle has several stages; allowed is a vehicle with one stage")
     return aims
