@@ -27,6 +27,7 @@ from maxq.control.attitude import (
     AttitudeError,
     AttitudeRow,
     attitude_row,
+    set_attitude_error,
     start_attitude_error,
     turn,
     update_attitude_error,
@@ -43,7 +44,6 @@ from maxq.control.external import (
 from maxq.control.filter_schedule import MovingFilter, freeze_moving, move_filter
 from maxq.control.filters import DiscreteFilter
 from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance, unroll
-from maxq.control.kernel import vectors as vec
 from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw, QuaternionRow, RollPitchYaw, degrees, quaternion
@@ -438,11 +438,7 @@ def call_external(computer: Computer, state: ComputerState, time_s: float) -> No
     step_external(state.external)
     wanted = commanded_attitude(state.external.outputs, (0.0, 0.0, 0.0, 0.0))
     if wanted != (0.0, 0.0, 0.0, 0.0):  # the error in the log is then that of the code's guidance
-        turned = vec.quaternion_product(vec.conjugate(wanted), vec.quaternion_at(attitude.measured.q, 0))
-        vec.set_vector(attitude.error_rad, 0, vec.roll_and_tilt(turned))
-        for axis in range(3):
-            limit_rad = computer.angle_error_limit_rad
-            attitude.theta_e_rad[axis] = min(max(attitude.error_rad[axis], -limit_rad), limit_rad)
+        set_attitude_error(attitude, wanted, computer.angle_error_limit_rad)
 
 
 @routine
