@@ -19,7 +19,7 @@ from numba import types
 from numba.extending import intrinsic, overload
 
 from maxq.control.kernel.jit import entry, kernel
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS, MAX_SENSORS
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS, MAX_SENSORS, MAX_UNITS
 from maxq.control.kernel.records import Array, IntArray, Records
 from maxq.control.kernel.vectors import Quaternion, quaternion_at
 
@@ -30,7 +30,7 @@ LARGEST_RAD = 1.0e6  # limit of a command's magnitude, far below overflow
 LONGEST_DELAY_S = 1000.0
 THROTTLE = (0.1, 1.2)  # allowed range; 0 keeps the present throttle
 
-HEALTH_ACCELEROMETER, HEALTH_RATE_GYROS = 2, 4  # bits of `FswInputs.health`
+HEALTH_GYRO, HEALTH_ACCELEROMETER, HEALTH_RATE_GYROS = 1, 2, 4  # bits of `FswInputs.health`
 HEALTH_GNSS, HEALTH_BAROMETER, HEALTH_MAGNETOMETER = 8, 16, 32
 LIFTOFF_SWITCH, FIRST_SEPARATION_SWITCH = 1, 2  # bits of `FswInputs.discretes`
 
@@ -80,6 +80,9 @@ class FswInputs:
     - `tank_kg`: liquid in each tank with a pendulum.
     - `target_perigee_m`, `target_apogee_m`: altitudes of the target orbit; 0 without a target.
     - `target_inclination_rad`: inclination of the target orbit; -1 for the plane of flight.
+    - `imu_count`: number of inertial units: gyro n and accelerometer n, from 1.
+    - `imu_health`: bit n - 1 is set if both samples of unit n have arrived; a lost one leaves the previous values.
+    - `imu_delta_angle_rad`, `imu_delta_velocity_mps`: increments of each unit over the sample.
     """
 
     bytes: int
@@ -114,6 +117,10 @@ class FswInputs:
     target_perigee_m: float
     target_apogee_m: float
     target_inclination_rad: float
+    imu_count: int
+    imu_health: int
+    imu_delta_angle_rad: Annotated[Array, (MAX_UNITS, 3)]
+    imu_delta_velocity_mps: Annotated[Array, (MAX_UNITS, 3)]
 
 
 @dataclass
@@ -199,6 +206,7 @@ class ExternalState:
     - `fault`: 0, or the fault that ends the flight.
     - `code`: return value of the function, or the invalid output (its index, or the roll demand).
     - `health`: bits of the sensors for navigation, written by the caller.
+    - `gyro_lost`: 1 if the sample of the first gyro did not arrive, written by the caller.
     """
 
     call: ProtectedCall
@@ -208,6 +216,7 @@ class ExternalState:
     fault: int
     code: int
     health: int
+    gyro_lost: int
     inputs: FswInputs
     outputs: FswOutputs
 

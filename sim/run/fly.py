@@ -557,7 +557,7 @@ def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
     groups = tuple(name or str(i + 1) for i, name in enumerate(groups)) if len(groups) > 1 else ()
     computer, tanks = scenario.vehicle.computer, names[: sizes.pendulums]
     external = computer is not None and computer.law == "external"
-    senses = scenario.vehicle.stage[0].accelerometer is not None
+    senses = len(scenario.vehicle.stage[0].accelerometers)
     return _channel_table(
         sizes,
         tanks,
