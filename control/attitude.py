@@ -101,12 +101,25 @@ def update_attitude_error(
     theta_e is clamped at `limit_rad` per axis. The clamp limits only the input of the law: `error_rad` is not limited,
     so that a return from beyond the limit is counted in full.
     """
-    turned = vec.quaternion_product(
-        vec.conjugate(vec.quaternion_at(commanded.q, 0)), vec.quaternion_at(state.measured.q, 0)
-    )
-    error_rad = vec.roll_and_tilt(turned)
+    if method == QUATERNION:
+        set_attitude_error(state, vec.quaternion_at(commanded.q, 0), limit_rad)
+        return
     for axis in range(3):
-        state.error_rad[axis] = error_rad[axis] if method == QUATERNION else angle_rad[axis] - commanded_rad[axis]
+        state.error_rad[axis] = angle_rad[axis] - commanded_rad[axis]
+    limit_attitude_error(state, limit_rad)
+
+
+@kernel
+def set_attitude_error(state: AttitudeError, commanded: vec.Quaternion, limit_rad: float) -> None:
+    """Set the error to roll and tilt from the attitude `commanded`, B to R, to the measured one."""
+    turned = vec.quaternion_product(vec.conjugate(commanded), vec.quaternion_at(state.measured.q, 0))
+    vec.set_vector(state.error_rad, 0, vec.roll_and_tilt(turned))
+    limit_attitude_error(state, limit_rad)
+
+
+@kernel
+def limit_attitude_error(state: AttitudeError, limit_rad: float) -> None:
+    for axis in range(3):
         state.theta_e_rad[axis] = min(max(state.error_rad[axis], -limit_rad), limit_rad)
 
 

@@ -21,12 +21,13 @@ from maxq.control.kernel.jit import kernel, routine
 from maxq.control.kernel.limits import MAX_BURNS
 from maxq.control.kernel.records import Array
 from maxq.control.orbit_guidance import (
-    STEADY,
     OrbitGuidance,
     OrbitGuidanceState,
     advance_orbit_guidance,
     gravitation,
+    is_steady,
     level,
+    mean_push,
     start_orbit_guidance,
     steer,
     turn_towards,
@@ -207,19 +208,15 @@ def earth_pull(burns: Burns, g: OrbitGuidance, r: vec.Vector) -> vec.Vector:
 
 
 @kernel
-def measure_push(
-    burns: Burns, g: OrbitGuidance, orbit: OrbitGuidanceState, since_s: float, was: vec.Vector
-) -> vec.Vector:
+def measure_push(burns: Burns, g: OrbitGuidance, orbit: OrbitGuidanceState, since_s: float) -> vec.Vector:
     """Return the acceleration by thrust in the middle of the next sample, m/s2, and keep its magnitude now.
 
-    `was`: velocity `since_s` ago. The mean over this time is extrapolated if it is steady.
+    The mean over the last sample, of `since_s`, is extrapolated if it is steady.
     """
-    gained = vec.add(vec.vector_at(orbit.velocity_mps, 0), vec.scaled(-1.0, was))
-    pull = earth_pull(burns, g, vec.vector_at(orbit.position_m, 0))
-    push = vec.add(vec.scaled(1.0 / since_s, gained), vec.scaled(-1.0, pull))
+    push = mean_push(orbit, since_s, earth_pull(burns, g, vec.vector_at(orbit.position_m, 0)))
     now_mps2, before_mps2 = vec.norm(push), orbit.acceleration_mps2
     orbit.acceleration_mps2 = now_mps2
-    if abs(now_mps2 - before_mps2) < STEADY * now_mps2:
+    if is_steady(now_mps2, before_mps2):
         push = vec.scaled(2.0 - before_mps2 / now_mps2, push)
     return push
 
@@ -250,7 +247,7 @@ def watch_quantity(
     if burn.orbit.lead_s > 0.0:
         before, was = vec.vector_at(orbit.last_position_m, 0), vec.vector_at(orbit.last_velocity_mps, 0)
         if state.last_s > -1e300:
-            push = measure_push(burns, burn.orbit, orbit, time_s - state.last_s, was)
+            push = measure_push(burns, burn.orbit, orbit, time_s - state.last_s)
             value = quantity_after_decay(burns, burn, r, v, push)
             state.last = quantity_after_decay(burns, burn, before, was, push)
         vec.set_vector(orbit.last_position_m, 0, r)

@@ -27,6 +27,7 @@ from maxq.control.attitude import (
     AttitudeError,
     AttitudeRow,
     attitude_row,
+    set_attitude_error,
     start_attitude_error,
     turn,
     update_attitude_error,
@@ -35,6 +36,7 @@ from maxq.control.burns import Burns, BurnsState, advance_burns, start_burns
 from maxq.control.converter import Converter, ConverterState, convert, make_converter, round_half_away, start_converter
 from maxq.control.external import (
     HEALTH_ACCELEROMETER,
+    HEALTH_GYRO,
     HEALTH_RATE_GYROS,
     ExternalState,
     commanded_attitude,
@@ -43,8 +45,8 @@ from maxq.control.external import (
 from maxq.control.filter_schedule import MovingFilter, freeze_moving, move_filter
 from maxq.control.filters import DiscreteFilter
 from maxq.control.guidance import GuidanceState, advance_guidance, start_guidance, unroll
-from maxq.control.kernel import vectors as vec
 from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.limits import MAX_UNITS
 from maxq.control.kernel.records import Array, IntArray
 from maxq.control.kernel.rows import PitchYaw, QuaternionRow, RollPitchYaw, degrees, quaternion
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
@@ -415,12 +417,16 @@ def call_external(computer: Computer, state: ComputerState, time_s: float) -> No
     inputs, converter, guidance, attitude = state.external.inputs, state.converter, state.guidance, state.attitude
     inputs.tick, inputs.time_s = state.ticks, time_s
     inputs.time_ns = round(1.0e9 * inputs.time_s)
-    inputs.health = 1 if state.invalid_inputs == state.external.invalid_before else 0
+    inputs.health = HEALTH_GYRO if state.invalid_inputs == state.external.invalid_before else 0
     inputs.health += state.external.health
+    inputs.imu_health = (1 << inputs.imu_count) - 1
+    if state.external.gyro_lost != 0:
+        inputs.health, inputs.imu_health = inputs.health & ~HEALTH_GYRO, inputs.imu_health & ~1
     state.external.invalid_before = state.invalid_inputs
     for axis in range(3):
         inputs.counts[axis] = converter.counts[axis]
         inputs.delta_angle_rad[axis] = converter.increment_rad[axis]
+        inputs.imu_delta_angle_rad[0, axis] = converter.increment_rad[axis]
         inputs.angle_rad[axis] = converter.angle_rad[axis]
         inputs.rate_radps[axis] = attitude.rate_radps[axis]
         inputs.commanded_angle_rad[axis] = guidance.angle_rad[axis]
@@ -438,27 +444,30 @@ def call_external(computer: Computer, state: ComputerState, time_s: float) -> No
     step_external(state.external)
     wanted = commanded_attitude(state.external.outputs, (0.0, 0.0, 0.0, 0.0))
     if wanted != (0.0, 0.0, 0.0, 0.0):  # the error in the log is then that of the code's guidance
-        turned = vec.quaternion_product(vec.conjugate(wanted), vec.quaternion_at(attitude.measured.q, 0))
-        vec.set_vector(attitude.error_rad, 0, vec.roll_and_tilt(turned))
-        for axis in range(3):
-            limit_rad = computer.angle_error_limit_rad
-            attitude.theta_e_rad[axis] = min(max(attitude.error_rad[axis], -limit_rad), limit_rad)
+        set_attitude_error(attitude, wanted, computer.angle_error_limit_rad)
 
 
 @routine
 def hand_sensors(computer: Computer, state: ComputerState) -> None:
     """Copy the samples of the further sensors into the inputs of the flight code."""
     inputs, sensors = state.external.inputs, state.sensors
+    gyros = computer.sensors.gyros
     inputs.health |= HEALTH_ACCELEROMETER + HEALTH_RATE_GYROS
     for k in range(computer.sensors.count):
-        is_force = k == computer.sensors.accelerometer
-        if sensors.lost[k] != 0:
-            inputs.health &= ~(HEALTH_ACCELEROMETER if is_force else HEALTH_RATE_GYROS)
+        unit = 1 + k if k < gyros else k - gyros
+        if sensors.lost[k] != 0 and unit < MAX_UNITS:
+            inputs.imu_health &= ~(1 << unit)
+        if sensors.lost[k] != 0 and k <= gyros:
+            inputs.health &= ~(HEALTH_RATE_GYROS if k < gyros else HEALTH_ACCELEROMETER)
         for axis in range(3):
-            if is_force:
-                inputs.delta_velocity_mps[axis] = sensors.delta[k, axis]
-            else:
+            if k < gyros:
                 inputs.further_rate_radps[k, axis] = sensors.value[k, axis]
+            if k == gyros:
+                inputs.delta_velocity_mps[axis] = sensors.delta[k, axis]
+            if unit < MAX_UNITS and k < gyros:
+                inputs.imu_delta_angle_rad[unit, axis] = sensors.delta[k, axis]
+            elif unit < MAX_UNITS:
+                inputs.imu_delta_velocity_mps[unit, axis] = sensors.delta[k, axis]
 
 
 @routine

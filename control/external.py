@@ -19,7 +19,7 @@ from numba import types
 from numba.extending import intrinsic, overload
 
 from maxq.control.kernel.jit import entry, kernel
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS, MAX_SENSORS
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_PENDULUMS, MAX_SENSORS, MAX_UNITS
 from maxq.control.kernel.records import Array, IntArray, Records
 from maxq.control.kernel.vectors import Quaternion, quaternion_at
 
@@ -30,7 +30,7 @@ LARGEST_RAD = 1.0e6  # limit of a command's magnitude, far below overflow
 LONGEST_DELAY_S = 1000.0
 THROTTLE = (0.1, 1.2)  # allowed range; 0 keeps the present throttle
 
-HEALTH_ACCELEROMETER, HEALTH_RATE_GYROS = 2, 4  # bits of `FswInputs.health`
+HEALTH_GYRO, HEALTH_ACCELEROMETER, HEALTH_RATE_GYROS = 1, 2, 4  # bits of `FswInputs.health`
 HEALTH_GNSS, HEALTH_BAROMETER, HEALTH_MAGNETOMETER = 8, 16, 32
 LIFTOFF_SWITCH, FIRST_SEPARATION_SWITCH = 1, 2  # bits of `FswInputs.discretes`
 
@@ -80,6 +80,9 @@ class FswInputs:
     - `tank_kg`: liquid in each tank with a pendulum.
     - `target_perigee_m`, `target_apogee_m`: altitudes of the target orbit; 0 without a target.
     - `target_inclination_rad`: inclination of the target orbit; -1 for the plane of flight.
+    - `imu_count`: number of inertial units: gyro n and accelerometer n, from 1.
+    - `imu_health`: bit n - 1 is set if both samples of unit n have arrived; a lost one leaves the previous values.
+    - `imu_delta_angle_rad`, `imu_delta_velocity_mps`: increments of each unit over the sample.
     """
 
     bytes: int
@@ -114,6 +117,10 @@ class FswInputs:
     target_perigee_m: float
     target_apogee_m: float
     target_inclination_rad: float
+    imu_count: int
+    imu_health: int
+    imu_delta_angle_rad: Annotated[Array, (MAX_UNITS, 3)]
+    imu_delta_velocity_mps: Annotated[Array, (MAX_UNITS, 3)]
 
 
 @dataclass
@@ -164,9 +171,11 @@ class ProtectedCall:
     - `step`, `instance`: the function and its instance.
     - `given`, `given_from`, `given_bytes`: the inputs that the code receives, and those of the simulator.
     - `taken`, `taken_to`, `taken_bytes`: the outputs that the code writes, and those of the simulator.
-    - `watched`, `kept`, `watched_bytes`: memory of the simulator that the code must not change, and room for a copy.
-    - `own_mode`, `code_mode`: floating-point environments (`fenv_t`) of the simulator and of the code.
-    - `copies`, `compares`, `get_mode`, `set_mode`: the functions memcpy, memcmp, fegetenv and fesetenv, or 0.
+    - `watched`: table of the simulator's memory that the code must not change, or 0. It contains the number of ranges,
+      address and size of each, and room for a copy of all. It is not in shared memory.
+    - `own_mode`, `code_mode`: floating-point modes of the simulator and of the code.
+    - `copies`, `compares`: the functions memcpy and memcmp.
+    - `get_mode`, `set_mode`: the functions fegetmode and fesetmode, else fegetenv and fesetenv, or 0.
     """
 
     step: int
@@ -178,8 +187,6 @@ class ProtectedCall:
     taken_to: int
     taken_bytes: int
     watched: int
-    kept: int
-    watched_bytes: int
     own_mode: int
     code_mode: int
     copies: int
@@ -199,6 +206,7 @@ class ExternalState:
     - `fault`: 0, or the fault that ends the flight.
     - `code`: return value of the function, or the invalid output (its index, or the roll demand).
     - `health`: bits of the sensors for navigation, written by the caller.
+    - `gyro_lost`: 1 if the sample of the first gyro did not arrive, written by the caller.
     """
 
     call: ProtectedCall
@@ -208,6 +216,7 @@ class ExternalState:
     fault: int
     code: int
     health: int
+    gyro_lost: int
     inputs: FswInputs
     outputs: FswOutputs
 
@@ -237,6 +246,26 @@ def _call_c(function, first, second, third):  # type: ignore[no-untyped-def]  # 
     return lambda function, first, second, third: _call(function, first, second, third)  # noqa: PLW0108  # as in jit.py
 
 
+def word_at(address: int) -> int:
+    """Return the integer of eight bytes at an address."""
+    return ctypes.c_int64.from_address(int(address)).value
+
+
+@intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
+def _word(context: Any, address: Any) -> Any:
+    """Load an integer from an address (Numba intrinsic)."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.load(builder.inttoptr(arguments[0], ir.IntType(64).as_pointer()))
+
+    return types.int64(types.int64), build
+
+
+@overload(word_at, target="cpu")
+def _word_at(address):  # type: ignore[no-untyped-def]  # Numba compares both signatures
+    return lambda address: _word(address)  # noqa: PLW0108  # as in jit.py
+
+
 @kernel
 def call_protected(call: ProtectedCall) -> tuple[int, int]:
     """Call flight code on a copy of its inputs, in its own floating-point environment, and copy its outputs.
@@ -247,22 +276,29 @@ def call_protected(call: ProtectedCall) -> tuple[int, int]:
     if call.step == 0:
         return 0, 0
     copy, compare, get_mode, set_mode = call.copies, call.compares, call.get_mode, call.set_mode
-    own_mode, code_mode, watched, kept = call.own_mode, call.code_mode, call.watched, call.kept
-    taken, taken_to, taken_bytes, watched_bytes = call.taken, call.taken_to, call.taken_bytes, call.watched_bytes
+    own_mode, code_mode, watched = call.own_mode, call.code_mode, call.watched
+    taken, taken_to, taken_bytes = call.taken, call.taken_to, call.taken_bytes
     call_c(copy, call.given, call.given_from, call.given_bytes)
     call_c(copy, taken, taken_to, taken_bytes)
-    if watched_bytes > 0:
-        call_c(copy, kept, watched, watched_bytes)
+    ranges = word_at(watched) if watched != 0 else 0
+    kept = watched + 8 + 16 * ranges
+    for k in range(ranges):
+        size = word_at(watched + 16 + 16 * k)
+        call_c(copy, kept, word_at(watched + 8 + 16 * k), size)
+        kept += size
     if set_mode != 0:
         call_c(set_mode, code_mode, 0, 0)
     code = call_c(call.step, call.instance, call.given, taken)
     if set_mode != 0:
         call_c(get_mode, code_mode, 0, 0)
         call_c(set_mode, own_mode, 0, 0)
-    changed = 0
-    if watched_bytes > 0 and call_c(compare, kept, watched, watched_bytes) != 0:
-        call_c(copy, watched, kept, watched_bytes)
-        changed = 1
+    changed, kept = 0, watched + 8 + 16 * ranges
+    for k in range(ranges):
+        place, size = word_at(watched + 8 + 16 * k), word_at(watched + 16 + 16 * k)
+        if call_c(compare, kept, place, size) != 0:
+            call_c(copy, place, kept, size)
+            changed = 1
+        kept += size
     call_c(copy, taken_to, taken, taken_bytes)
     return code, changed
 

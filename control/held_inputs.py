@@ -14,6 +14,7 @@ from typing import Annotated
 from maxq.control.attitude import AttitudeError, Strapdown, turn, update_attitude_error
 from maxq.control.converter import round_half_away
 from maxq.control.kernel.jit import entry
+from maxq.control.kernel.limits import MAX_UNITS
 from maxq.control.kernel.records import Array, IntArray, Records
 
 
@@ -78,6 +79,11 @@ def superpose(
             out.rate_radps[axis] = flown.rate_radps[axis] + first_radps + share * own_radps
         if axis > 0:
             out.delta_velocity_mps[axis] = flown.delta_velocity_mps[axis] + share * held.delta_velocity_mps[axis]
+            for k in range(MAX_UNITS):
+                out.imu_delta_velocity_mps[k, axis] += share * held.imu_delta_velocity_mps[k, axis]
+        out.imu_delta_angle_rad[0, axis] = out.delta_angle_rad[axis]
+        for k in range(1, MAX_UNITS):
+            out.imu_delta_angle_rad[k, axis] += share * held.imu_delta_angle_rad[k, axis]
         for k in range(len(flown.further_rate_radps)):
             out.further_rate_radps[k, axis] = (
                 flown.further_rate_radps[k, axis] + share * held.further_rate_radps[k, axis]
@@ -91,4 +97,4 @@ def superpose(
     )
     for axis in range(3):
         out.attitude_error_rad[axis] = state.attitude.theta_e_rad[axis]
-    out.health = flown.health & held.health
+    out.health, out.imu_health = flown.health & held.health, flown.imu_health & held.imu_health

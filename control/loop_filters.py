@@ -50,14 +50,14 @@ class LoopFilters:
 class LoopFilterState:
     """The state of the loop filters, per loop and gimbal axis.
 
-    - `memory`: memory of the filters.
     - `fading`: number of samples to the end of the fade-out.
+    - `memory`: memory of the filters.
     - `old_sections`, `old_n_sections`, `old_memory`: filters of the previous stage, including its bending filter
       (OUTPUT).
     """
 
-    memory: Annotated[Array, (3, 2, MAX_SECTIONS, 2)]
     fading: int
+    memory: Annotated[Array, (3, 2, MAX_SECTIONS, 2)]
     old_sections: Annotated[Array, (4, 2, MAX_SECTIONS, 5)]
     old_n_sections: Annotated[IntArray, (4, 2)]
     old_memory: Annotated[Array, (4, 2, MAX_SECTIONS, 2)]

@@ -86,6 +86,10 @@ typedef struct maxq_fsw_inputs {
     double target_perigee_m;        /* altitude above equator_m; 0 without a target */
     double target_apogee_m;         /* likewise */
     double target_inclination_rad;  /* -1: the plane of flight */
+    int64_t imu_count;              /* inertial units: gyro n and accelerometer n; 0 without an accelerometer */
+    int64_t imu_health;             /* bit n: both samples of unit n, from 0, have arrived; if not, the last ones follow */
+    double imu_delta_angle_rad[3][3];    /* gyro of each unit, of the sample */
+    double imu_delta_velocity_mps[3][3]; /* accelerometer of each unit, of the sample */
 } maxq_fsw_inputs;
 
 typedef struct maxq_fsw_outputs { /* all 0 before each call, except bytes */

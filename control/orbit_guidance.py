@@ -307,6 +307,22 @@ def begin_at(state: OrbitGuidanceState, time_s: float) -> None:
     state.begun_s = time_s
 
 
+@kernel
+def mean_push(state: OrbitGuidanceState, since_s: float, pull: vec.Vector) -> vec.Vector:
+    """Return the mean acceleration by thrust in I since `last_velocity_mps`, `since_s` ago, m/s2.
+
+    `pull`: mean gravitation.
+    """
+    was = vec.vector_at(state.last_velocity_mps, 0)
+    gained = vec.add(vec.vector_at(state.velocity_mps, 0), vec.scaled(-1.0, was))
+    return vec.add(vec.scaled(1.0 / since_s, gained), vec.scaled(-1.0, pull))
+
+
+@kernel
+def is_steady(now_mps2: float, before_mps2: float) -> bool:
+    return abs(now_mps2 - before_mps2) < STEADY * now_mps2
+
+
 @routine
 def measure_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: float) -> int:
     """Measure the thrust acceleration, and return 1 if the thrust is on and steady, otherwise 0.
@@ -318,10 +334,9 @@ def measure_acceleration(g: OrbitGuidance, state: OrbitGuidanceState, time_s: fl
     steady = False
     if known:
         middle = vec.scaled(0.5, vec.add(r, vec.vector_at(state.last_position_m, 0)))
-        gained = vec.add(v, vec.scaled(-1.0, vec.vector_at(state.last_velocity_mps, 0)))
-        mean_mps2 = vec.norm(vec.add(vec.scaled(1.0 / since_s, gained), vec.scaled(-1.0, gravitation(g, middle))))
+        mean_mps2 = vec.norm(mean_push(state, since_s, gravitation(g, middle)))
         now_mps2 = mean_mps2 * (1.0 + 0.5 * since_s * mean_mps2 / g.exhaust_mps)
-        steady = abs(now_mps2 - state.acceleration_mps2) < STEADY * now_mps2
+        steady = is_steady(now_mps2, state.acceleration_mps2)
         state.acceleration_mps2 = now_mps2
     state.last_s = time_s
     vec.set_vector(state.last_position_m, 0, r)

@@ -25,14 +25,15 @@ from maxq.control.kernel.records import Array, IntArray
 class Sensors:
     """The parameters of the sensors.
 
-    - `count`: number of sensors.
-    - `accelerometer`: index of the accelerometer, which is the last sensor; -1 without an accelerometer.
+    - `count`, `gyros`: number of sensors, and of the rate gyros among them, which come first.
+    - `accelerometer`: index of the first accelerometer, which the laws use; -1 without one.
     - `converter`: angle (rad) or velocity (m/s) per pulse.
     - `latency`: delay of the output, samples.
     - `blend` (2, sensors): weights w_0, w_1 and so on, in pitch and yaw.
     """
 
     count: int
+    gyros: int
     accelerometer: int
     converter: Annotated[tuple[Converter, ...], (MAX_SENSORS,)]
     latency: Annotated[IntArray, (MAX_SENSORS,)]
@@ -61,31 +62,31 @@ class SensorState:
 def make_sensors(
     counts: Sequence[float] = (),
     latency: Sequence[int] = (),
-    accelerometer: bool = False,
+    accelerometers: int = 0,
     blend: Sequence[Sequence[float]] = (),
 ) -> Sensors:
     """Return the parameters of the sensors.
 
     - `counts`: angle (rad) or velocity (m/s) per pulse of each sensor.
     - `latency`: delay of each sensor, samples.
-    - `accelerometer`: True if the last sensor is an accelerometer.
+    - `accelerometers`: number of the last sensors that are accelerometers.
     - `blend`: weights in pitch and in yaw, by default (1, 0, ...).
 
     Raises ValueError if weights do not sum to 1, if their number differs from that of the rate gyros, and as
     `make_converter` does.
     """
-    n, gyros = len(counts), len(counts) - int(accelerometer) + 1
+    n, gyros = len(counts), len(counts) - accelerometers
     late, weights = np.zeros(MAX_SENSORS, np.int64), np.zeros((2, MAX_SENSORS))
     late[:n], weights[:, 0] = latency, 1.0
     for gimbal, given in enumerate(blend):
-        if len(given) != gyros:
-            raise ValueError(f"blend has {len(given)} weights: allowed is {gyros}, one for each rate gyro")
+        if len(given) != gyros + 1:
+            raise ValueError(f"blend has {len(given)} weights: allowed is {gyros + 1}, one for each rate gyro")
         if abs(sum(given) - 1.0) > 1e-6:
             raise ValueError(f"blend sums to {sum(given):g}: allowed is 1")
-        weights[gimbal, :gyros] = given
+        weights[gimbal, : gyros + 1] = given
     converters = [make_converter(count) for count in counts]
     padded = (*converters, *[make_converter(0.0)] * (MAX_SENSORS - n))
-    return Sensors(n, n - 1 if accelerometer else -1, padded, late, weights)
+    return Sensors(n, gyros, gyros if accelerometers > 0 else -1, padded, late, weights)
 
 
 @kernel
@@ -125,6 +126,6 @@ def blended_rate(sensors: Sensors, state: SensorState, gimbal: int, first_radps:
     """Return the law's rate about the axis of a gimbal (0 pitch, 1 yaw), blended from all gyros, rad/s."""
     rate_radps: float = sensors.blend[gimbal, 0] * first_radps
     for k in range(MAX_SENSORS - 1):
-        if k < sensors.count and k != sensors.accelerometer:
+        if k < sensors.gyros:
             rate_radps += sensors.blend[gimbal, 1 + k] * state.value[k, 1 + gimbal]
     return rate_radps

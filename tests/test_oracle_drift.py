@@ -73,7 +73,7 @@ def test_command_is_pd_and_the_integrated_acceleration_behind_the_filter(law: An
         attitude="rate-integral",
         angle_error_limit_rad=clamp_rad,
         pitch_filter=discrete,
-        sensors=make_sensors((0.0,), (0,), accelerometer=True),
+        sensors=make_sensors((0.0,), (0,), accelerometers=1),
     )
     computer, state, tables = pack([built])[0], blank(ComputerState)[0], pool.array()
     start_computer(computer, tables, state, 0.0)

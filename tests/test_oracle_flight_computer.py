@@ -21,8 +21,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from flight_code import EXAMPLES, compiled, flies, needs_compiler
+from flightkit import COMPUTER, Tree, merged, toml
 from made_once import copy_of
 from petrelkit import folder
+from test_oracle_cutoff import CONSTANT, SPACE, THRUST_N, MASS_kg
 
 import maxq
 from maxq import Flight
@@ -176,6 +178,42 @@ def test_throttle_cutoff_and_restart_consume_the_propellant_of_the_tables(tmp_pa
         assert thrust[k] + pressure[k] * engine.exit_area_m2 == pytest.approx(share * ideal, rel=1e-6)
     coasting = (times > off + 0.1) & (times < again)
     assert np.all(thrust[coasting] == 0.0)
+
+
+def written(folder: Path, tree: Tree) -> Path:
+    path = folder / "scenario.toml"
+    path.write_text("\n".join(f"{key} = {toml(value)}" for key, value in tree.items()))
+    return path
+
+
+@needs_compiler
+def test_code_separates_a_fairing_before_the_time_of_the_vehicle_file(tmp_path: Path) -> None:
+    """In empty space, the speed is that of constant thrust on two masses, exchanged 9 s before `separation_s`.
+
+    Tables that begin at `separation_s` have no row for the propellant that is left then.
+    """
+    step = "out->ignition = 1; out->fairing_separation = in->tick == 99;"
+    code = {"law": "external", "library": str(library(tmp_path, step)), "sequencing": "flight-code"}
+    first = CONSTANT | {"separation_s": 10.0}
+    later = merged(CONSTANT | {"continues": True, "clock": "preceding"}, {"mass": {"mass_kg": 0.8 * MASS_kg}})
+    changes: Tree = {
+        "initial": {"euler_deg": [0.0, 0.0, 0.0], "ned_mps": [100.0, 0.0, 0.0]},
+        "vehicle": {"stage": [first, later], "computer": COMPUTER | code},
+        "run": {"duration_s": 3.0},
+    }
+    tree = merged(SPACE, changes)
+    flight = fly(load_scenario(written(tmp_path, tree)))
+    lit_s, left_s = (0.01 + COMPUTER["delay_s"], 1.0 + COMPUTER["delay_s"])
+    assert flight.event_s("separation") == pytest.approx(left_s, abs=1e-9)
+    gained_mps = THRUST_N / MASS_kg * (left_s - lit_s) + THRUST_N / (0.8 * MASS_kg) * (3.0 - left_s)
+    assert flight["v_I_x_mps"][-1] == pytest.approx(100.0 + gained_mps, rel=1e-9)
+
+    columns = {"mass_kg": 800.0, "x_cg_m": 2.5, "Ixx_kgm2": 200.0, "Iyy_kgm2": 1500.0, "Izz_kgm2": 1500.0}
+    table = {"time_s": [0.0, 20.0], **{name: [value, value] for name, value in columns.items()}}
+    later |= {"clock": "own", "mass": {"table": table}}
+    early = fly(load_scenario(written(tmp_path, merged(tree, {"vehicle": {"stage": [first, later]}}))))
+    assert early.cause == "commanded fairing_separation in stage 1 before the tables of stage 2 begin"
+    assert early.end_s == pytest.approx(left_s, abs=1e-9)
 
 
 @needs_compiler
@@ -382,6 +420,8 @@ def test_a_switch_that_is_stuck_hides_the_liftoff(tmp_path: Path) -> None:
     assert sequenced(code, "run.duration_s=3").cause == "its step returned 5"
     stuck = "fault=[{kind='switch-stuck',switch='liftoff',at_s=0.0}]"
     assert sequenced(code, "run.duration_s=3", stuck).outcome == "duration"
+    late = sequenced(code, "run.duration_s=3", stuck.replace("at_s=0.0", "at_s=0.0,until_s=2.0"))
+    assert (late.cause, late.end_s) == ("its step returned 5", 2.0)
 
 
 def test_python_code_commands_the_sequence(tmp_path: Path) -> None:

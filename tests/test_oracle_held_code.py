@@ -202,7 +202,7 @@ def test_a_window_from_the_first_sample_begins_with_the_error_of_alignment(tmp_p
     np.testing.assert_allclose(at.tape.start_q_BR[1:], 0.5 * np.radians([0.3, -0.2, 0.5]), rtol=1e-5)
     computer = flies_on.vehicle.computer
     assert computer is not None
-    held_code, still = HeldCode(computer, windows, lambda: None, (0, 0)), blank(FswInputs)
+    held_code, still = HeldCode(computer, windows, lambda: None), blank(FswInputs)
     still["health"] = 7
     held_code._start_deviations(0)
     for row in range(100):

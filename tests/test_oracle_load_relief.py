@@ -62,7 +62,7 @@ def test_command_is_pd_and_the_filtered_acceleration_behind_the_filter() -> None
         gains=gains_table(GAINS),
         attitude="rate-integral",
         pitch_filter=discrete,
-        sensors=make_sensors((0.0,), (0,), accelerometer=True),
+        sensors=make_sensors((0.0,), (0,), accelerometers=1),
         relief_hz=corner_hz,
     )
     computer, state, tables = pack([built])[0], blank(ComputerState)[0], pool.array()

@@ -82,7 +82,7 @@ class Ticked:
             law=LAW_OF[gains.columns],
             gains=gains_table(gains),
             attitude="rate-integral",
-            sensors=make_sensors((0.0,), (0,), accelerometer=True),
+            sensors=make_sensors((0.0,), (0,), accelerometers=1),
             **more,
         )
         return pack([built])[0]

@@ -10,6 +10,7 @@ lag.
 | growth and decay in flight | the eigenvalue |
 | an accumulator at the pump of an unstable line | the same two |
 | plant of a plane | the same eigenvalues |
+| throttle by flight code | the slope of a quadratic pressure drop |
 """
 
 from __future__ import annotations
@@ -245,6 +246,20 @@ def test_parameters_follow_the_clock_of_the_stage() -> None:
     accel = (0.05 * 4e4 - 0.008 * (3e4 + 1600.0)) / MASS_KG
     accel += sum(shape(k, 10.0) * rate[n + 2 + k] for k in range(2))
     assert rate[i] == pytest.approx((4.1e3 * accel - 1600.0 - 3e4) / 500.0, rel=1e-12)
+
+
+def test_a_throttle_reduces_the_resistances_of_turbulent_flow() -> None:
+    """The pressure drop k q^2 has the slope 2 k q: flight code that throttles to 0.6 leaves 0.6 of both resistances."""
+    made = rig(tree_of(section(LINE)))
+    made.packed.memory["clock"]["throttled"] = 0.4
+    y = deviated(made)
+    i, n = int(layout.feed_index(made.sizes)), int(layout.spatial_index(made.sizes))
+    rate = made.derivative(y)
+    lost = 3e4 + 0.6 * 1600.0
+    accel = (0.05 * 4e4 - 0.008 * lost) / MASS_KG + sum(shape(k, 10.0) * rate[n + 2 + k] for k in range(2))
+    assert made.aux.engines.thrust_N[0] == pytest.approx(0.6e5 + 0.05 * 4e4, rel=1e-14)
+    assert rate[i] == pytest.approx((4.6e3 * accel - lost) / 500.0, rel=1e-12)
+    assert rate[i + 2] == pytest.approx((1.6 * 3e4 - 0.6 * 3e4 * 1.5 - 4e4) / 250.0, rel=1e-12)
 
 
 def test_the_log_contains_deviations_and_forces() -> None:

@@ -221,7 +221,7 @@ def test_state_matrices_give_the_response(kind: type[Any]) -> None:
 @pytest.mark.slow
 def test_counts_latency_lost_samples_and_blend() -> None:
     rng, n, unit = np.random.default_rng(2), 200, (3e-4, 0.0, 5e-3)
-    sensors = make_sensors(unit, (0, 2, 1), True, ((0.5, 0.2, 0.3), (0.7, 0.4, -0.1)))
+    sensors = make_sensors(unit, (0, 2, 1), 1, ((0.5, 0.2, 0.3), (0.7, 0.4, -0.1)))
     pool = Pool()
     computer = pack([build_computer(pool, sample_ns=10_000_000, sensors=sensors)])[0]
     state, tables = blank(ComputerState)[0], pool.array()
@@ -255,15 +255,19 @@ def test_flight_code_gets_each_sensor_in_its_own_place(lost: tuple[int, int, int
     """Two gyros and an accelerometer keep their indices in plain Python, where an index beyond an array is an error."""
     value, delta = np.arange(9.0).reshape(3, 3), 10.0 + np.arange(9.0).reshape(3, 3)
     inputs = SimpleNamespace(health=1, delta_velocity_mps=np.zeros(3), further_rate_radps=np.zeros((2, 3)))
+    inputs.imu_health, inputs.imu_delta_angle_rad, inputs.imu_delta_velocity_mps = 1, np.zeros((3, 3)), np.zeros((3, 3))
     state = SimpleNamespace(
         external=SimpleNamespace(inputs=inputs), sensors=SimpleNamespace(lost=lost, value=value, delta=delta)
     )
-    computer = SimpleNamespace(sensors=SimpleNamespace(count=3, accelerometer=2))
+    computer = SimpleNamespace(sensors=SimpleNamespace(count=3, gyros=2, accelerometer=2))
     getattr(hand_sensors, "py_func", hand_sensors)(computer, state)
     np.testing.assert_array_equal(inputs.further_rate_radps, value[:2])
     np.testing.assert_array_equal(inputs.delta_velocity_mps, delta[2])
     gyros, accelerometer = not any(lost[:2]), not lost[2]
     assert inputs.health == 1 + 2 * accelerometer + 4 * gyros
+    np.testing.assert_array_equal(inputs.imu_delta_angle_rad[1:], delta[:2])
+    np.testing.assert_array_equal(inputs.imu_delta_velocity_mps[0], delta[2])
+    assert inputs.imu_health == (0 if lost[2] else 1)
 
 
 @pytest.mark.parametrize(

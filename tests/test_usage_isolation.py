@@ -16,6 +16,8 @@ import pytest
 from flight_code import compiled, flies, needs_compiler
 
 from maxq import Flight
+from maxq.control.kernel.records import dtype_of
+from maxq.sim.flight.parameters import Memory
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.fly import fly
 from maxq.sim.run.instances import HEADER
@@ -50,6 +52,17 @@ static void scale_shared(void)
             scale((double *)from, (int)((to - from) / 8));
     fclose(maps);
 }
+static long offset;
+static void poke(void)
+{
+    char line[256];
+    FILE *maps = fopen("/proc/self/maps", "r");
+    unsigned long from, to;
+    while (fgets(line, sizeof line, maps))
+        if (strstr(line, "rw-s") && sscanf(line, "%lx-%lx", &from, &to) == 2)
+            ((unsigned char *)from)[offset] ^= 1;
+    fclose(maps);
+}
 static int tried(void)
 {
     int fd = open("written", O_WRONLY | O_CREAT, 0600), memory = open("/proc/self/mem", O_RDWR);
@@ -72,7 +85,8 @@ int32_t maxq_fsw_abi(void) { return MAXQ_FSW_ABI; }
 int64_t maxq_fsw_bytes(void) { return 200; }
 int32_t maxq_fsw_init(void *self, const maxq_fsw_setup *setup)
 {
-    (void)self, (void)setup, (void)forked, (void)scale_shared, (void)tried;
+    (void)self, (void)forked, (void)scale_shared, (void)tried, (void)poke;
+    offset = atol(setup->settings);
     INIT;
     return 0;
 }
@@ -153,6 +167,44 @@ def test_a_stray_pointer_into_the_flight_is_detected() -> None:
     assert flight.outcome == "flight_software"
     assert flight.failures == ("flight software at 0.510 s: overwrote memory of the simulator in its step",)
     assert flight.state_hash == flown(*attacking(STEP="return 7")).state_hash
+
+
+def places(*paths: str) -> dict[str, int]:
+    """Return the offset of the last byte of each part of Memory, which is the first record in shared memory."""
+    out = {}
+    for path in paths:
+        layout, at = dtype_of(Memory), 0
+        for name in path.split("."):
+            layout, begins, *_ = dict(layout.fields or {})[name]
+            at += begins
+        out[path] = at + layout.itemsize - 1
+    return out
+
+
+USED = (
+    *("clock", "held.faults", "computer.law", "computer.external.call", "computer.loops.fading", "faults.next_ns"),
+    *("extremes", "waves", "errors", "gimbal_replaces"),
+)
+SENSORS = ["vehicle.stage.0.accelerometer={station_m=4.0, omega_hz=80, zeta=0.7}"]
+NOT_USED = ("computer.sensors", "computer.loops", "faults", "history")
+
+
+@needs_compiler
+@needs_linux
+def test_each_part_of_the_flight_that_is_used_is_compared() -> None:
+    """The code changes a bit of one byte, also in the last part of the memory, and where this flight reads nothing."""
+    code, plain = attacking(STEP="poke()"), flown(*attacking())
+    ended, hashes = {}, set()
+    for path, place in places(*USED, *NOT_USED).items():
+        flight = flown(*code, f"vehicle.computer.settings='{place}'")
+        ended[path] = flight.outcome
+        if path in NOT_USED:
+            hashes.add((flight.state_hash, tuple(flight.metrics.values()) == tuple(plain.metrics.values())))
+    assert ended == {**dict.fromkeys(USED, "flight_software"), **dict.fromkeys(NOT_USED, "duration")}
+    assert hashes == {(plain.state_hash, True)}
+    using = [*SENSORS, "fault=[{kind='gyro-bias',at_s=1.9,bias_degps=1.0}]"]
+    for path, place in places("computer.sensors", "faults").items():
+        assert flown(*code, *using, f"vehicle.computer.settings='{place}'").outcome == "flight_software", path
 
 
 def test_python_code_cannot_change_the_flight_through_ctypes() -> None:

@@ -32,7 +32,7 @@ from maxq.design.laws.pd import Pd
 from maxq.design.laws.registry import designed_law
 from maxq.design.loop.fixed_path import delayed
 from maxq.design.loop.sampling import SampledPlant, sample
-from maxq.design.model.instruments import ACCELERATION, Plane, instruments_of
+from maxq.design.model.instruments import Plane, instruments_of
 from maxq.design.model.linearised import at_rest, linearise
 from maxq.design.model.node import node_of
 from maxq.design.model.powered import flown_run, flown_to
@@ -214,7 +214,7 @@ def multiloop(packed: Packed, design: Design, time_s: float) -> Multiloop:
     signs = [1.0] * len(axes)
     if any(name not in MEASUREMENTS for one in laws for name in one.inputs):
         for k, (name, _, late) in enumerate(instruments_of(row).sensors, 1):
-            force = name == ACCELERATION  # a positive yaw command pushes in the direction -y
+            force = not name.startswith("rate_")  # a positive yaw command pushes in the direction -y
             integrals += [f"sensor_{k}_{axis}_integral" for axis in ("zy" if force else "yz")]
             signs += [1.0, -1.0 if force else 1.0]
             sensed.append((name, late))

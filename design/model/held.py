@@ -339,11 +339,11 @@ class _PlaneOf:
         self.names = (*state_names(spatial + modes, tanks, len(swings)), *feed, *late)
         self.signs = np.array(signs)
         self.rate = at[f"gyro_{plane}_rad"]
-        self.sensors, self.sensed, self.sensed_signs = [], [], []
+        self.sensors = list(sensed(held.parameters[0].vehicle.sensors[: int(sizes.sensors)]))
+        self.sensed, self.sensed_signs = [], []
         for k in range(int(sizes.sensors)):
             force = held.vehicle["sensors"]["kind"][0, k] == ACCELEROMETER
             axis = "zy"[not pitch] if force else "yz"[not pitch]
-            self.sensors.append(sensed(k, held.parameters[0].vehicle.sensors[k]))
             self.sensed.append(at[f"sensor_{k + 1}_{axis}_integral"])
             self.sensed_signs.append(1.0 if force else self.turn)
         self._engines = int(sizes.engines)

@@ -29,8 +29,14 @@ def further_rate(number: int) -> str:
     return f"rate_{number}_radps"
 
 
-def sensed(number: int, sensor: Any) -> str:
-    return ACCELERATION if sensor.kind == ACCELEROMETER else further_rate(number + 2)
+def sensed(sensors: Sequence[Any]) -> tuple[str, ...]:
+    """Return the names of the measurements of a stage's sensors after the first gyro.
+
+    The first accelerometer, which the laws use, follows the gyros.
+    """
+    gyros = sum(sensor.kind != ACCELEROMETER for sensor in sensors)
+    forces = [ACCELERATION, *(f"accel_{n}_mps2" for n in range(2, len(sensors) - gyros + 1))]
+    return (*(further_rate(number + 2) for number in range(gyros)), *forces[: len(sensors) - gyros])
 
 
 @dataclass(frozen=True)
@@ -61,13 +67,14 @@ class Instruments:
 def instruments_of(row: Any, plane: Plane = "pitch") -> Instruments:
     """Return the instruments of a packed stage in one plane."""
     drives, of_group = drives_of(row, plane)
+    sensors = row.vehicle.sensors[: int(row.vehicle.sizes.sensors)]
     return Instruments(
         actuators=tuple(drives),
         groups=tuple(tuple(g for g, d in enumerate(of_group) if d == drive) for drive in range(len(drives))),
         gyro=_gyro(row.vehicle.gyro),
         sensors=tuple(
-            (sensed(k, each), _gyro(each.triad), int(row.computer.sensors.latency[k]))
-            for k, each in enumerate(row.vehicle.sensors[: int(row.vehicle.sizes.sensors)])
+            (name, _gyro(each.triad), int(late))
+            for name, each, late in zip(sensed(sensors), sensors, row.computer.sensors.latency, strict=False)
         ),
         sample_s=1e-9 * int(row.computer.sample_ns),
         delay_s=1e-9 * int(row.computer.delay_ns),

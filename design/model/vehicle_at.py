@@ -71,6 +71,7 @@ def vehicle_at(held: HeldStage, plane: Plane) -> VehicleAt:
     omega = [vehicle.spatial_modes.frequency_factor[:s] * p[spatial : spatial + s]]
     omega.append(vehicle.bending.frequency_factor[:n] * p[first : first + n])
     zeta = vehicle.bending.zeta_pitch if pitch else vehicle.bending.zeta_yaw
+    sensors = vehicle.sensors[: int(sizes.sensors)]
     return VehicleAt(
         total_mass_kg=float(p[schedule.TOTAL_MASS]),
         total_cg_station_m=float(cg[0]),
@@ -79,9 +80,7 @@ def vehicle_at(held: HeldStage, plane: Plane) -> VehicleAt:
         omega_radps=np.concatenate(omega),
         damping_ratio=np.concatenate([vehicle.spatial_modes.zeta[:s], zeta[:n]]),
         pendulums=pendulums_of(held),
-        sensors=tuple(
-            (sensed(k, each), float(each.station_m)) for k, each in enumerate(vehicle.sensors[: int(sizes.sensors)])
-        ),
+        sensors=tuple(zip(sensed(sensors), (float(each.station_m) for each in sensors), strict=True)),
         cut_stations_m=tuple(held.parameters[0].loads.station_m[: int(held.parameters[0].loads.stations)].tolist()),
     )
 

@@ -147,7 +147,7 @@ def modes_of(path: FixedPath) -> tuple[FeatureMode, ...]:
 
 
 def _further_gyros(node: OperatingPoint) -> tuple[str, ...]:
-    return tuple(name for name, _, _ in node.instruments.sensors if name != ACCELERATION)
+    return tuple(name for name, _, _ in node.instruments.sensors if name.startswith("rate_"))
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ from maxq.sim.vehicle import state as states
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B, Counts, counts
 from maxq.sim.vehicle.engine.kernel import total_thrust
 from maxq.sim.vehicle.environment import Environment, climb_rate, flight_direction, velocity_over_ground
-from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_LOST, GYRO_WALK
+from maxq.sim.vehicle.faults import ANY_FAULT, GYRO_LOST, GYRO_WALK, SAMPLE_LOST
 from maxq.sim.vehicle.schedule import CORE_CG, TOTAL_MASS
 from maxq.sim.vehicle.sensor.further import SENSOR_STREAM, sensor_slots
 from maxq.sim.vehicle.sensor.gyro import GYRO_STREAM
@@ -198,12 +198,14 @@ def sample_computer(p: Parameters, pool: Array, memory: Memory, y: Array, proper
     begun = now - p.computer.sample_ns  # a rate is commanded over the sample that ends now
     walk = p.vehicle.gyro.random_walk_rad_rts * math.sqrt(1e-9 * p.computer.sample_ns)
     for axis in range(3):
-        memory.increment_rad[axis] = y[states.GYRO_ANGLE + axis]
+        measured_rad = y[states.GYRO_ANGLE + axis]
         if memory.held.faults[ANY_FAULT] > 0.0:
             noisy = memory.held.faults[GYRO_WALK + axis]
             walk = math.sqrt(1e-9 * p.computer.sample_ns * (p.vehicle.gyro.random_walk_rad_rts**2 + noisy * noisy))
         if walk > 0.0:
-            memory.increment_rad[axis] += walk * standard_normal(p.timeline.seed, GYRO_STREAM + axis, clock.samples)
+            measured_rad += walk * standard_normal(p.timeline.seed, GYRO_STREAM + axis, clock.samples)
+        if memory.held.faults[SAMPLE_LOST] == 0.0:
+            memory.increment_rad[axis] = measured_rad
         y[states.GYRO_ANGLE + axis] = 0.0
         memory.rate_injection_radps[axis] = total_signal(p.injections, pool, RATE_COMMAND, axis, begun, 0.0)
         memory.rate_replaces[axis] = replaced(p.injections, RATE_COMMAND, axis, begun)
@@ -293,7 +295,7 @@ def sample_sensors(p: Parameters, memory: Memory, y: Array) -> None:
             if walk > 0.0:
                 read.increment[k, axis] += walk * standard_normal(seed, stream + axis, sample)
             y[i] = 0.0
-        read.lost[k] = 0
+        read.lost[k] = 1 if faults[SAMPLE_LOST + 1 + k] > 0.0 else 0
         if sensor.dropout > 0.0 and uniform_pair(seed, stream + 3, sample)[0] < sensor.dropout:
             read.lost[k] = 1
 

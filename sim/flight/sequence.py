@@ -24,7 +24,7 @@ from maxq.control.kernel.records import Array
 from maxq.sim.flight.parameters import MAX_IGNITIONS, N_COMMANDS, NEVER, Memory, Parameters
 from maxq.sim.flight.step import schedule_clock
 from maxq.sim.vehicle.block import counts
-from maxq.sim.vehicle.faults import LIFTOFF_SWITCH_STUCK, SEPARATION_SWITCH_STUCK
+from maxq.sim.vehicle.faults import LIFTOFF_SWITCH_STUCK, SAMPLE_LOST, SEPARATION_SWITCH_STUCK
 from maxq.sim.vehicle.sensor.gauges import read_gauges
 
 EARLIEST_S = 1e-6  # by which a separation may precede the first time of the next tables
@@ -56,6 +56,9 @@ def hand_over_discretes(p: Parameters, pool: Array, memory: Memory, properties: 
     if faults[SEPARATION_SWITCH_STUCK] == 0.0:
         inputs.discretes += FIRST_SEPARATION_SWITCH * ((1 << clock.stage) - 1)
     memory.computer.external.health = received.health
+    memory.computer.external.gyro_lost = 1 if faults[SAMPLE_LOST] > 0.0 else 0
+    sensors = p.computer.sensors
+    inputs.imu_count = min(1 + sensors.gyros, sensors.count - sensors.gyros)
     inputs.gnss_number, inputs.gnss_time_s = received.gnss.number, 1e-9 * received.gnss.valid_ns
     inputs.pressure_Pa = received.pressure_Pa
     for axis in range(3):

@@ -112,6 +112,8 @@ def read_schedule(p: Parameters, pool: Array, memory: Memory, now_ns: int, elaps
     if memory.clock.throttled != 0.0:
         throttle_engines(counts(p.vehicle.sizes), 1.0 - memory.clock.throttled, properties)
     derive_properties(p.vehicle, pool, clock_s, properties)
+    if memory.clock.throttled != 0.0 and p.vehicle.sizes.feed_lines > 0:
+        throttle_feed_lines(counts(p.vehicle.sizes), 1.0 - memory.clock.throttled, properties)
     decay_ns, since_cutoff_ns = memory.clock.decay_ns, now_ns - memory.clock.cut_off_ns
     if decay_ns > 0 and memory.clock.cut_off_ns > 0 and since_cutoff_ns >= 0:
         left = max(1.0 - (since_cutoff_ns + 1e9 * elapsed_s) / decay_ns, 0.0)
@@ -146,6 +148,18 @@ def throttle_engines(sizes: Counts, throttle: float, properties: Array) -> None:
         properties[sch.tank_column(tank) + sch.TANK_TRAVEL] *= throttle
     for curve in range(sizes.thrust_curves):
         properties[sch.thrust_column(sizes, curve)] *= throttle
+
+
+@rare_routine
+def throttle_feed_lines(sizes: Counts, throttle: float, properties: Array) -> None:
+    """Multiply the resistances of all feed lines by the throttle.
+
+    The pressure drop of turbulent flow is proportional to the square of the flow, and its slope to the flow.
+    """
+    for line in range(sizes.feed_lines):
+        first = sch.feed_column(sizes, line)
+        properties[first + sch.FEED_RESISTANCE] *= throttle
+        properties[first + sch.FEED_DISCHARGE_RESISTANCE] *= throttle
 
 
 @routine

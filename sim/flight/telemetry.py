@@ -33,8 +33,10 @@ from maxq.sim.vehicle.schedule import CORE_CG, CORE_INERTIA, CORE_MASS, MASS_FLO
 from maxq.sim.vehicle.sensor.further import (
     ACCELEROMETER,
     AccelerometerRow,
+    FurtherAccelerometerRow,
     RateGyroRow,
     accelerometer_row,
+    further_accelerometer_row,
     rate_gyro_row,
 )
 from maxq.sim.vehicle.sensor.gyro import GyroRow, gyro_row
@@ -137,9 +139,11 @@ def fill_fast(p: Parameters, out: Logged, memory: Memory, at: Evaluation, row: A
         column = put(row, column, receiver_row(memory.receivers))
     for k in range(logged.sensors):
         first, counted = sensor_index(sizes, k), vector_at(memory.computer.sensors.value[k], 0)
-        if p.vehicle.sensors[k].kind == ACCELEROMETER:
+        if p.vehicle.sensors[k].kind == ACCELEROMETER and k == p.computer.sensors.accelerometer:
             column = put(row, column, accelerometer_row(memory.held.faults, k, y, first, counted))
             column = put(row, column, load_relief_row(memory.computer.law.relief))
+        elif p.vehicle.sensors[k].kind == ACCELEROMETER:
+            column = put(row, column, further_accelerometer_row(memory.held.faults, k, y, first, counted))
         else:
             column = put(row, column, rate_gyro_row(memory.held.faults, k, y, first, counted))
 
@@ -324,7 +328,7 @@ def channel_table(
     groups: tuple[str, ...] = (),
     engines: tuple[str, ...] = (),
     external: bool = False,
-    accelerometer: bool = False,
+    accelerometers: int = 0,
     adaptive: bool = False,
     drift: bool = False,
     receivers: bool = False,
@@ -336,7 +340,7 @@ def channel_table(
     - `stations`: description of each station of the section loads; channel names contain the numbers, from 1.
     - `waves`: True to include the height of the pendulums' waves.
     - `external`: True to include the monitored values of external flight code.
-    - `accelerometer`: True if the last sensor is an accelerometer.
+    - `accelerometers`: number of the last sensors that are accelerometers.
     - `adaptive`: True to include the total gain.
     - `drift`: True to include the drift that the computer integrates.
     - `receivers`: True to include the sensors for navigation.
@@ -375,10 +379,12 @@ def channel_table(
         topics.append(Topic("/drift", FAST, declared_channels(DriftRow), "drift in the computer"))
     if receivers:
         topics.append(Topic("/navigation_sensors", FAST, declared_channels(ReceiverRow), "sensors for navigation"))
-    further = range(2, 2 + sizes.sensors - int(accelerometer))
+    further = range(2, 2 + sizes.sensors - accelerometers)
     sensors = [declared_channels(RateGyroRow, "number", str(n), f"rate gyro {n}") for n in further]
-    if accelerometer:
+    if accelerometers:
         sensors += [declared_channels(AccelerometerRow), declared_channels(LoadReliefRow)]
+    for n in range(2, 1 + accelerometers):
+        sensors.append(declared_channels(FurtherAccelerometerRow, "number", str(n), f"accelerometer {n}"))
     if sensors:
         topics.append(Topic("/sensors", FAST, sum(sensors, ()), "additional sensors, and load relief"))
     topics += declared_topics(SLOW, SlowRow)

@@ -137,7 +137,7 @@ def _sensors(scenario: Scenario, stage: int, design: Design | None) -> Sensors |
     counts = [0.0 if fine else getattr(each, "count_mps", computer.count_rad) for each in flown.sensors]
     blend = design.blend.axes if design is not None and design.blend is not None else ()
     late = [each.latency_samples for each in flown.sensors]
-    return make_sensors(counts, late, flown.accelerometer is not None, blend)
+    return make_sensors(counts, late, len(flown.accelerometers), blend)
 
 
 @cached_by_identity

@@ -32,6 +32,7 @@ from maxq.sim.vehicle.faults import (
     MAGNETOMETER_ADDED,
     MAGNETOMETER_DEAD,
     MAGNETOMETER_STUCK,
+    SAMPLE_LOST,
     SENSOR_FAULT,
     SENSOR_SLOTS,
     SEPARATION_SWITCH_STUCK,
@@ -56,8 +57,10 @@ class Write(NamedTuple):
 
 def _sensor(fault: Fault, axis: int, gyros: int) -> tuple[Write, ...]:
     """Return the writes for lost output, added signal or added noise of a sensor's axis."""
-    # sensors other than the first gyro are counted from 0, with the accelerometer after the gyros
-    number = (fault.gyro or 1) - 2 if KINDS[fault.kind].part == "gyro" else gyros - 1
+    # sensors other than the first gyro are counted from 0, with the accelerometers after the gyros
+    number = (fault.gyro or 1) - 2 if KINDS[fault.kind].part == "gyro" else gyros - 2 + (fault.accelerometer or 1)
+    if fault.kind.endswith("-lost"):
+        return (Write(SAMPLE_LOST + 1 + number),)
     first = GYRO_LOST if number < 0 else SENSOR_FAULT + SENSOR_SLOTS * number
     lost, added, walk = (first + slot - GYRO_LOST + axis for slot in (GYRO_LOST, GYRO_ADDED, GYRO_WALK))
     if fault.kind.endswith("-stuck"):

@@ -366,7 +366,9 @@ class FlightRun:
         if self._software is not None and self.finished:
             rows = copied(rows)
             for own, flown in zip(self._own[2:5], self._arrays(self._logged, self._rows)[2:5], strict=True):
-                own[:] = flown  # memory, state and arena; another flight may use the shared arrays after `close`
+                # memory, state and arena, as bytes, because NumPy copies each field of a record alone; another flight
+                # may use the shared arrays after `close`
+                own.reshape(-1).view("u1")[:] = flown.reshape(-1).view("u1")
             self._hold(self._own)
             self._software.close()
         self.wall_s += time.perf_counter() - start
@@ -601,7 +603,7 @@ def logged_channels(scenario: Scenario, sizes: Sizes) -> ChannelTable:
     groups = tuple(name or str(i + 1) for i, name in enumerate(groups)) if len(groups) > 1 else ()
     computer, tanks = scenario.vehicle.computer, names[: sizes.pendulums]
     external = computer is not None and computer.law == "external"
-    senses = scenario.vehicle.stage[0].accelerometer is not None
+    senses = len(scenario.vehicle.stage[0].accelerometers)
     return _channel_table(
         sizes,
         tanks,

@@ -47,9 +47,8 @@ from maxq.control.external import (
     THROTTLE,
     TOO_MANY,
 )
-from maxq.control.kernel.records import dtype_of
 from maxq.sim.flight.loop import advance
-from maxq.sim.flight.parameters import MAX_IGNITIONS, Memory
+from maxq.sim.flight.parameters import MAX_IGNITIONS
 from maxq.sim.input.errors import printable
 from maxq.sim.run.hashed_reads import only_hashed_reads
 from maxq.sim.run.held_code import CodeWindows, HeldCode
@@ -57,12 +56,14 @@ from maxq.sim.run.instances import Instance, Setup, Unusable, end_name, ended, s
 from maxq.sim.run.protection import (
     GUARD,
     OVERWROTE_TEXT,
+    MemoryRanges,
     make_inaccessible,
     make_read_only,
     make_writable,
     own_floating_point,
     whole_pages,
 )
+from maxq.sim.run.watched import watched_ranges
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
 fcntl: ModuleType | None
@@ -77,8 +78,6 @@ FORKS = hasattr(os, "fork")
 """False on Windows, where no process can guard a flight."""
 MEMORY = 2  # index of the flight's memory in Arrays
 
-_WATCHED_BYTES = int(dict(dtype_of(Memory).fields or {})["sections"][1])
-"""The part of the flight's memory that is compared around calls; most of the rest are extremes of loads."""
 STARTING, ENDING = 2, 3  # values of `inside` while an instance is made and closed
 STOPPED = 1  # value of `code` if a process that does not return is stopped
 _SMALLEST = 1 << 24  # least shared memory of a worker, bytes; the unused part takes no memory
@@ -314,6 +313,14 @@ def _end_idle() -> None:
         _idle.pop().end()
 
 
+def end_workers() -> None:
+    """End all idle workers, and wait for their processes."""
+    _end_idle()
+    while _leaving:
+        _reap()
+        time.sleep(1e-3)
+
+
 def kill_workers() -> None:
     """Kill all worker processes, because this process is about to end without the usual cleanup."""
     for pid in filter(None, (*_lines.values(), *_leaving)):
@@ -346,14 +353,12 @@ def _places(sizes: Sequence[int]) -> list[int]:
 
 
 def _placed(room: mmap.mmap, kinds: Sequence[np.dtype[Any]], shapes: Sequence[tuple[int, ...]]) -> Arrays:
-    """Return arrays in shared memory: the parameters first, and the state vector directly before the memory."""
+    """Return arrays in shared memory, the parameters first."""
     counts = [int(np.prod(shape)) for shape in shapes]
-    sizes = [kind.itemsize * count for kind, count in zip(kinds, counts, strict=True)]
-    order = [*range(MEMORY), MEMORY + 1, MEMORY, *range(MEMORY + 2, len(sizes))]
-    starts = dict(zip(order, _places([sizes[k] for k in order]), strict=False))
+    starts = _places([kind.itemsize * count for kind, count in zip(kinds, counts, strict=True)])
     return tuple(
-        np.frombuffer(room, kind, count, GUARD + starts[k]).reshape(shape)
-        for k, (kind, count, shape) in enumerate(zip(kinds, counts, shapes, strict=True))
+        np.frombuffer(room, kind, count, GUARD + start).reshape(shape)
+        for kind, count, shape, start in zip(kinds, counts, shapes, starts[:-1], strict=True)
     )
 
 
@@ -411,8 +416,7 @@ class _Flying:
             self._restricted = True
             only_hashed_reads(self._computer.hashed_files.values())
         try:
-            memory, y = self._arrays[MEMORY], self._arrays[MEMORY + 1]
-            watched = y.ctypes.data, memory.ctypes.data + _WATCHED_BYTES - y.ctypes.data
+            watched = watched_ranges(self._arrays[0], *self._arrays[MEMORY : MEMORY + 2])
             self._instance = instance_for(self._computer, Setup.from_buffer_copy(setup), held, state, watched)
         except Unusable as error:
             return False, str(error) or type(error).__name__
@@ -458,12 +462,12 @@ def _has_processes() -> bool:
 
 
 def instance_for(
-    computer: ComputerSection, setup: Setup, held: CodeWindows | None, state: Any, watched: tuple[int, int] = (0, 0)
+    computer: ComputerSection, setup: Setup, held: CodeWindows | None, state: Any, watched: MemoryRanges = ()
 ) -> Instance:
     """Return a started instance of the code for a flight, or for a held flight if `held` is given.
 
     `state` is the ExternalState. It receives the call of the code, and its counter shows that a held flight is
-    progressing. `watched` is the address and the size of memory that the code must not change. Raises Unusable.
+    progressing. `watched` is the memory that the code must not change. Raises Unusable.
     """
 
     def alive() -> None:

@@ -41,7 +41,7 @@ from maxq.control.external import FswInputs, FswOutputs, ProtectedCall, call_onc
 from maxq.control.held_inputs import Superposition, superpose
 from maxq.control.kernel.records import Array, Records, blank, dtype_of
 from maxq.sim.run.instances import Instance, Outputs, Setup, StepFunction, described, ended, module_of, started
-from maxq.sim.run.protection import OVERWROTE_TEXT, FloatingPoint
+from maxq.sim.run.protection import OVERWROTE_TEXT, FloatingPoint, MemoryRanges
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
 WINDOW_S, SHORTEST_S, SHORTER = 5.0, 2.0, 0.3
@@ -118,12 +118,12 @@ class CodeWindows:
 class HeldCode(Instance):
     """The flight code that a held flight calls: a sequence of instances, each for a window.
 
-    `alive` is called regularly while an instance receives the tape. `watched` is the address and the size of memory
-    that the code must not change. The constructor raises Unusable.
+    `alive` is called regularly while an instance receives the tape. `watched` is the memory that the code must not
+    change. The constructor raises Unusable.
     """
 
     def __init__(
-        self, computer: ComputerSection, held: CodeWindows, alive: Callable[[], None], watched: tuple[int, int]
+        self, computer: ComputerSection, held: CodeWindows, alive: Callable[[], None], watched: MemoryRanges = ()
     ) -> None:
         self.floating_point = FloatingPoint()
         self._calls, self._watched = blank(ProtectedCall), watched

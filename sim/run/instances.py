@@ -32,7 +32,7 @@ from urllib.parse import urlsplit
 
 from maxq.control.external import ABI, FIRST_OF_VERSION_2, FswInputs, FswOutputs
 from maxq.control.kernel.records import dtype_of
-from maxq.sim.run.protection import FloatingPoint, GuardedMemory, Protection, own_floating_point
+from maxq.sim.run.protection import FloatingPoint, GuardedMemory, MemoryRanges, Protection, own_floating_point
 from maxq.sim.run.sandbox import confine, sandbox_problem
 from maxq.sim.scenario.flight_code import SETTINGS_BYTES, CodeFile
 from maxq.sim.scenario.schema_vehicle import ComputerSection
@@ -115,18 +115,17 @@ class Instance(ABC):
     version = ABI
     sizes: tuple[int, int] = (ctypes.sizeof(Inputs), ctypes.sizeof(Outputs))
 
-    def connect(self, call: Any, structs: tuple[int, int], watched: tuple[int, int] = (0, 0)) -> None:
+    def connect(self, call: Any, structs: tuple[int, int], watched: MemoryRanges = ()) -> None:
         """Write into the ProtectedCall `call` how the code is called, and into the structs their sizes in its version.
 
-        `structs` are the addresses of the simulator's inputs and outputs. `watched` is the address and the size of
-        memory that the code must not change; a size of 0 stands for none.
+        `structs` are the addresses of the simulator's inputs and outputs. `watched` is the memory that the code must
+        not change.
         """
         for kind, address in zip((Inputs, Outputs), structs, strict=True):
             kind.from_address(address).bytes = size_of(kind, self.version)
         self._protection = Protection(self.floating_point, *self.sizes)
         self._protection.bind(call, self.step, self.address, *structs)
-        if watched[1] > 0:
-            self._protection.watch(call, *watched)
+        self._protection.watch(call, watched)
 
     @abstractmethod
     def close(self) -> None:

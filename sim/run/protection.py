@@ -2,11 +2,11 @@
 
 - The code receives copies of its inputs and outputs. These copies, its setup and the memory of an instance end at pages
   that cannot be accessed: writing beyond them is a crash of the code.
-- The memory and state vector of the flight are compared before and after each call (control/external.py), and its
-  parameters can only be read.
-- The code has its own floating-point environment (rounding, flush to zero, traps).
+- The memory and state vector of the flight are compared before and after each call (watched.py, control/external.py),
+  and its parameters can only be read.
+- The code has its own floating-point modes (rounding, flush to zero, traps).
 
-Without `mprotect` (Windows), the pages can be accessed; without `fegetenv`, the environment is shared.
+Without `mprotect` (Windows), the pages can be accessed; without `fegetenv`, the modes are shared.
 """
 
 from __future__ import annotations
@@ -14,15 +14,17 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import mmap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import Any
 
+MemoryRanges = Sequence[tuple[int, int]]
+"""Addresses and sizes of memory, bytes."""
 GUARD = 1 << 20
 """The length of each range of inaccessible pages, bytes."""
 OVERWROTE_TEXT = "overwrote memory of the simulator in its step"
 _NONE, _READ, _WRITE = 0, 1, 2  # PROT_NONE, PROT_READ and PROT_WRITE of <sys/mman.h>
-_MODE_BYTES = 256  # at least the size of fenv_t on all platforms
+_MODE_BYTES = 256  # at least the size of fenv_t and femode_t on all platforms
 _LIBRARIES = (None, "libm.so.6", "ucrtbase")
 
 
@@ -39,6 +41,13 @@ def _function(name: str) -> Any:
 def _address_of(name: str) -> int:
     function = _function(name)
     return (ctypes.cast(function, ctypes.c_void_p).value or 0) if function is not None else 0
+
+
+@cache
+def _mode_functions() -> tuple[str, str]:
+    """Return the names of the functions that get and set floating-point modes; those of C23 are faster."""
+    modes, environment = ("fegetmode", "fesetmode"), ("fegetenv", "fesetenv")
+    return modes if all(map(_function, modes)) else environment
 
 
 def _restrict(address: int, size: int, access: int) -> None:
@@ -81,7 +90,7 @@ class GuardedMemory:
 
 
 class FloatingPoint:
-    """The floating-point environment (`fenv_t`) of the calling thread at construction."""
+    """The floating-point modes (`femode_t`, or `fenv_t`) of the calling thread at construction."""
 
     def __init__(self) -> None:
         self._room = ctypes.create_string_buffer(_MODE_BYTES)
@@ -89,17 +98,17 @@ class FloatingPoint:
         self.store()
 
     def store(self) -> None:
-        if (get := _function("fegetenv")) is not None:
+        if (get := _function(_mode_functions()[0])) is not None:
             get(ctypes.c_void_p(self.address))
 
     def restore(self) -> None:
-        if (put := _function("fesetenv")) is not None:
+        if (put := _function(_mode_functions()[1])) is not None:
             put(ctypes.c_void_p(self.address))
 
 
 @contextlib.contextmanager
 def own_floating_point() -> Iterator[FloatingPoint]:
-    """Restore the floating-point environment at the end of a block, and store that of the block in the result."""
+    """Restore the floating-point modes at the end of a block, and store those of the block in the result."""
     own, of_block = FloatingPoint(), FloatingPoint()
     try:
         yield of_block
@@ -114,7 +123,7 @@ class Protection:
     def __init__(self, code_mode: FloatingPoint, given_bytes: int, taken_bytes: int) -> None:
         self._given, self._taken = GuardedMemory(given_bytes), GuardedMemory(taken_bytes)
         self._own_mode, self._code_mode = FloatingPoint(), code_mode
-        self._kept: Any = None
+        self._table: Any = None
 
     def bind(self, call: Any, step: int, instance: int, inputs: int, outputs: int) -> None:
         """Write into the record `call` the addresses with which the function `step` of an instance is called.
@@ -125,11 +134,12 @@ class Protection:
         call.taken, call.taken_to, call.taken_bytes = self._taken.address, outputs, self._taken.size
         call.own_mode, call.code_mode = self._own_mode.address, self._code_mode.address
         call.copies, call.compares = _address_of("memcpy"), _address_of("memcmp")
-        both = _address_of("fegetenv"), _address_of("fesetenv")
+        both = tuple(map(_address_of, _mode_functions()))
         call.get_mode, call.set_mode = both if all(both) else (0, 0)
         call.step, call.instance = step, instance
 
-    def watch(self, call: Any, address: int, size: int) -> None:
-        """Compare `size` bytes at `address` before and after each call."""
-        self._kept = ctypes.create_string_buffer(size)
-        call.watched, call.kept, call.watched_bytes = address, ctypes.addressof(self._kept), size
+    def watch(self, call: Any, ranges: MemoryRanges) -> None:
+        """Compare these ranges of memory before and after each call."""
+        words = [len(ranges), *(word for one in ranges for word in one)]
+        self._table = (ctypes.c_int64 * (len(words) + -(-sum(size for _, size in ranges) // 8)))(*words)
+        call.watched = ctypes.addressof(self._table) if ranges else 0

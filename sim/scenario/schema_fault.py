@@ -10,7 +10,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
-from maxq.control.kernel.limits import MAX_ENGINES, MAX_SENSORS, MAX_STAGES
+from maxq.control.kernel.limits import MAX_ENGINES, MAX_SENSORS, MAX_STAGES, MAX_UNITS
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.tables_csv import Columns, CsvTable
 from maxq.sim.input.values import Fraction, Positive, Seconds, Section, Triple, optional
@@ -22,10 +22,12 @@ FaultKind = Literal[
     "gyro-dead",
     "gyro-bias",
     "gyro-noisy",
+    "gyro-lost",
     "accelerometer-stuck",
     "accelerometer-dead",
     "accelerometer-bias",
     "accelerometer-noisy",
+    "accelerometer-lost",
     "actuator-stuck",
     "actuator-hard-over",
     "actuator-floating",
@@ -65,10 +67,12 @@ KINDS: dict[FaultKind, FaultAbout] = {
     "gyro-dead": FaultAbout("gyro", _TURNS, ("gyro", "axis")),
     "gyro-bias": FaultAbout("gyro", _TURNS, ("gyro", "axis"), ("bias_degps",)),
     "gyro-noisy": FaultAbout("gyro", _TURNS, ("gyro", "axis"), ("noise_deg_rt_h",)),
-    "accelerometer-stuck": FaultAbout("accelerometer", _ALONG, ("axis",)),
-    "accelerometer-dead": FaultAbout("accelerometer", _ALONG, ("axis",)),
-    "accelerometer-bias": FaultAbout("accelerometer", _ALONG, ("axis",), ("bias_mps2",)),
-    "accelerometer-noisy": FaultAbout("accelerometer", _ALONG, ("axis",), ("noise_mps_rt_h",)),
+    "gyro-lost": FaultAbout("gyro", (), ("gyro",)),
+    "accelerometer-stuck": FaultAbout("accelerometer", _ALONG, ("accelerometer", "axis")),
+    "accelerometer-dead": FaultAbout("accelerometer", _ALONG, ("accelerometer", "axis")),
+    "accelerometer-bias": FaultAbout("accelerometer", _ALONG, ("accelerometer", "axis"), ("bias_mps2",)),
+    "accelerometer-noisy": FaultAbout("accelerometer", _ALONG, ("accelerometer", "axis"), ("noise_mps_rt_h",)),
+    "accelerometer-lost": FaultAbout("accelerometer", (), ("accelerometer",)),
     "actuator-stuck": FaultAbout("actuator", _GIMBALS, ("axis", "group")),
     "actuator-hard-over": FaultAbout("actuator", _GIMBALS, ("axis", "group"), ("angle_deg",)),
     "actuator-floating": FaultAbout("actuator", _GIMBALS, ("axis", "group")),
@@ -94,6 +98,7 @@ class Fault(Section):
     kind: FaultKind = Field(
         description="engine-off: no thrust or flow; thrust-loss: a share of both is lost; gyro-stuck, "
         "accelerometer-stuck: constant output; -dead: zero output; -bias, -noisy: a constant or noise is added; "
+        "-lost: samples do not reach the computer, which keeps the last one; "
         "actuator-stuck: constant servo position; actuator-hard-over: the servo moves to angle_deg within its limits; "
         "actuator-floating: no force, and the engine swings freely on its gimbal (without a TVC load the servo is "
         "centred); gnss-outage: no solutions; gnss-stuck: the last solution with new times; switch-stuck: a discrete "
@@ -108,6 +113,12 @@ class Fault(Section):
         None,
         ge=1,
         le=MAX_SENSORS,
+    )
+    accelerometer: int | None = optional(
+        "number: 1 is [stage.accelerometer], 2 and above [[stage.further_accelerometer]] (default: 1)",
+        None,
+        ge=1,
+        le=MAX_UNITS,
     )
     axis: Literal["roll", "pitch", "yaw", "x", "y", "z"] | None = optional(
         "axis: roll, pitch, yaw of gyros and actuators; x, y, z of the accelerometer (default: all)"

@@ -540,6 +540,10 @@ class Scenario(Section):
             if fault.gyro is not None and fault.gyro > gyros:
                 allowed = f"1 .. {gyros}: [stage.gyro], then each [[stage.rate_gyro]]"
                 raise refuse("the vehicle has no such gyro", allowed, ("fault", n, "gyro"))
+            forces = len(self.vehicle.stage[0].accelerometers)
+            if fault.accelerometer is not None and fault.accelerometer > forces:
+                allowed = f"1 .. {forces}: [stage.accelerometer], then each [[stage.further_accelerometer]]"
+                raise refuse("the vehicle has no such accelerometer", allowed, ("fault", n, "accelerometer"))
             ideal = self.switches.gyro == "ideal" and part == "accelerometer"  # this switch applies to all sensors
             if ideal or getattr(self.switches, part, "") == "ideal":
                 switch = "gyro" if ideal else part

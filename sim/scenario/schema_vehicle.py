@@ -17,6 +17,7 @@ from maxq.control.kernel.limits import (
     MAX_SENSORS,
     MAX_STAGES,
     MAX_SURFACES,
+    MAX_UNITS,
 )
 from maxq.control.structures import Attitude
 from maxq.sim.input.errors import refuse
@@ -196,6 +197,11 @@ class Stage(Section):
         "rate gyros in addition to the first; the same number in all stages", (), max_length=MAX_SENSORS - 1
     )
     accelerometer: Accelerometer | None = optional("absent: none; all stages have one, or none")
+    further_accelerometer: tuple[Accelerometer, ...] = optional(
+        "accelerometers of further inertial units, for flight code; the same number in all stages",
+        (),
+        max_length=MAX_UNITS - 1,
+    )
     booster: tuple[Booster, ...] = optional("bodies attached to the core; those that stay longest come first", ())
     roll_thrusters: RollThrusters | None = optional("absent: no roll control")
     loads: LoadsSection | None = optional("absent: no section loads")
@@ -206,8 +212,12 @@ class Stage(Section):
 
     @property
     def sensors(self) -> tuple[RateGyro | Accelerometer, ...]:
-        """Return the sensors in addition to the first gyro: the other rate gyros, then the accelerometer."""
-        return (*self.rate_gyro, *((self.accelerometer,) if self.accelerometer is not None else ()))
+        """Return the sensors in addition to the first gyro: the other rate gyros, then the accelerometers."""
+        return (*self.rate_gyro, *self.accelerometers)
+
+    @property
+    def accelerometers(self) -> tuple[Accelerometer, ...]:
+        return (*((self.accelerometer,) if self.accelerometer is not None else ()), *self.further_accelerometer)
 
     @property
     def acted_stations_m(self) -> tuple[float, ...]:
@@ -386,6 +396,11 @@ class Stage(Section):
                 allowed = f"0 .. {len(self.own_engines) - 1}" if self.own_engines else "a stage with an engine"
                 raise refuse("the core has no such engine", allowed, ("feed_line", n, "engine"), value=line.engine)
         self._check_groups("actuator", self.actuator, all_of_them=True)
+        if self.further_accelerometer and self.accelerometer is None:
+            raise refuse("there is no first accelerometer", "[stage.accelerometer]", "further_accelerometer", value={})
+        if len(self.sensors) > MAX_SENSORS:
+            problem, allowed = f"{len(self.sensors)} sensors after the first gyro", f"up to {MAX_SENSORS}"
+            raise refuse(problem, allowed, "further_accelerometer", value=len(self.further_accelerometer))
         if len(self.pendulum_names) > MAX_PENDULUMS:
             problem = f"{len(self.pendulum_names)} slosh modes in all"
             raise refuse(problem, f"up to {MAX_PENDULUMS} of all tanks of a stage", "tank", value=len(self.tank))
@@ -546,6 +561,8 @@ class Stage(Section):
         needed += [(("rate_gyro", n, "station_m"), gyro.station_m) for n, gyro in enumerate(self.rate_gyro)]
         if self.accelerometer is not None:
             needed.append((("accelerometer", "station_m"), self.accelerometer.station_m))
+        for n, accelerometer in enumerate(self.further_accelerometer):
+            needed.append((("further_accelerometer", n, "station_m"), accelerometer.station_m))
         for n, tank in enumerate(self.tank):
             for name in ("hinge_station_m", SECOND_MODE[2]):
                 if name in tank.table:
@@ -604,12 +621,12 @@ class Vehicle(Section):
             if n == last and stage.separation is not None:
                 key = "separation"
                 raise refuse("the last stage does not separate", "this key on earlier stages", ("stage", n, key))
-            kinds, first = ((len(s.rate_gyro), s.accelerometer is not None) for s in (stage, self.stage[0]))
+            kinds, first = ((len(s.rate_gyro), len(s.accelerometers)) for s in (stage, self.stage[0]))
             if kinds != first:
                 key = "rate_gyro" if kinds[0] != first[0] else "accelerometer"
                 problem, allowed = (
                     "this stage has other sensors than the first",
-                    "as many rate gyros, and an accelerometer or none",
+                    "as many rate gyros and accelerometers",
                 )
                 raise refuse(problem, allowed, ("stage", n, key), value={})
             self._check_goes_on(n, stage)

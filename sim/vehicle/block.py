@@ -42,7 +42,7 @@ class Sizes:
     gimbals: int = 1  # stations of gimbals, feed lines, buffet, then sensors, at which mode shapes are evaluated
     thrust_curves: int = 1  # columns of the schedule
     tvc_loads: int = 0  # engines with a compliant mount
-    sensors: int = 0  # rate gyros after the first, and the accelerometer
+    sensors: int = 0  # rate gyros after the first, and accelerometers
     buffets: int = 0  # stations of buffet
     feed_lines: int = 0
     air_lags: int = 0  # 1: the air lags behind the first modes

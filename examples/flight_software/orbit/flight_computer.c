@@ -193,9 +193,9 @@ int32_t maxq_fsw_step(void *self, const maxq_fsw_inputs *in, maxq_fsw_outputs *o
     given.time_s = in->time_s;
     given.stage = (int32_t)in->stage;
     for (i = 0; i < 3; ++i) {
-        given.counts[i] = in->counts[i];
-        given.delta_angle_rad[i] = in->delta_angle_rad[i];
-        given.delta_velocity_mps[i] = in->delta_velocity_mps[i];
+        given.counts[i] = c->setup.count_rad > 0.0 ? (int64_t)floor(c->nav.angle_rad[i] / c->setup.count_rad + 0.5) : 0;
+        given.delta_angle_rad[i] = c->nav.angle_rad[i];
+        given.delta_velocity_mps[i] = c->nav.velocity_mps[i];
         out->monitor[i] = c->nav.r[i];
         out->monitor[3 + i] = c->nav.v[i];
     }

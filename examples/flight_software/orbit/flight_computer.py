@@ -99,6 +99,13 @@ def about_z(angle, a):
     return (c * a[0] - s * a[1], s * a[0] + c * a[1], a[2])
 
 
+def selected(units, i):
+    """Return the middle increment of each axis, of the inertial units whose samples have arrived, else of the first."""
+    good = [k for k in range(i.imu_count) if i.imu_health >> k & 1] or [0]
+    columns = [sorted(units[k][axis] for k in good) for axis in range(3)]
+    return tuple(0.5 * (x[(len(x) - 1) // 2] + x[len(x) // 2]) for x in columns)
+
+
 class Navigation:
     """Strapdown integration, corrected by GNSS; position and velocity in I."""
 
@@ -121,7 +128,7 @@ class Navigation:
 
     def step(self, i):
         s, h = self.s, 1e-9 * self.s.sample_ns
-        angle = tuple(i.delta_angle_rad)
+        angle = selected(i.imu_delta_angle_rad, i)
         by = added(angle, 1.0 / 12.0, cross(self.last, angle))  # coning, Savage, J. Guidance 21(1), 1998
         before, self.last, self.q = self.q, angle, turned(self.q, by)
         if not i.discretes & LIFTOFF and not self.started:
@@ -129,7 +136,7 @@ class Navigation:
             self.v = self.ground(self.r)
         else:
             self.started = True
-            gained = rotate(turned(before, tuple(0.5 * x for x in by)), tuple(i.delta_velocity_mps))
+            gained = rotate(turned(before, tuple(0.5 * x for x in by)), selected(i.imu_delta_velocity_mps, i))
             v = added(added(self.v, 1.0, gained), h, self.gravitation(added(self.r, 0.5 * h, self.v)))
             self.r, self.v = added(added(self.r, 0.5 * h, self.v), 0.5 * h, v), v
             self.p_rr += h * (2.0 * self.p_rv + h * self.p_vv)
@@ -149,7 +156,7 @@ class Navigation:
         angle, lever = self.s.earth_rate_radps * i.gnss_time_s, tuple(self.s.gnss_lever_B_m)
         r = about_z(angle, tuple(i.gnss_r_E_m))
         v = added(about_z(angle, tuple(i.gnss_v_E_mps)), 1.0, self.ground(r))
-        swing = rotate(self.q, cross(tuple(x / h for x in i.delta_angle_rad), lever))
+        swing = rotate(self.q, cross(tuple(x / h for x in self.last), lever))
         miss_r = added(added(r, -1.0, rotate(self.q, lever)), -1.0, r_then)
         miss_v = added(added(v, -1.0, swing), -1.0, v_then)
         rr, rv, vv = self.p_rr, self.p_rv, self.p_vv
@@ -306,13 +313,13 @@ class Law:
         self.stage, self.memory, self.fired, self.ticks = 0, [], 0, 0
         self.shortest = round(self.roll["minimum_on_s"] / sample_s)
 
-    def step(self, i, error):
+    def step(self, i, error, rate):
         t, rows = i.time_s, self.gains
         k = max(1, min(len(rows) - 1, sum(row[0] <= t for row in rows)))
         (t_0, *first), (t_1, *then) = rows[k - 1], rows[k]
         share = min(max((t - t_0) / (t_1 - t_0), 0.0), 1.0)
         k_p, k_d = (a + share * (b - a) for a, b in zip(first, then, strict=True))
-        commands = [-k_p * error[axis] - k_d * i.rate_radps[axis] for axis in (1, 2)]
+        commands = [-k_p * error[axis] - k_d * rate[axis] for axis in (1, 2)]
         filters = self.filters[min(i.stage, len(self.filters) - 1)]
         if not self.memory or i.stage != self.stage:
             self.memory = [[settled(f, c) for f in filters] for c in commands]
@@ -324,8 +331,8 @@ class Law:
                 m[0] = f[1] * value - f[3] * commands[axis] + m[1]
                 m[1] = f[2] * value - f[4] * commands[axis]
         limit = math.radians(self.gimbal["limit_deg"])
-        roll = -self.gimbal["k_p"] * error[0] - self.gimbal["k_d_s"] * i.rate_radps[0]
-        return commands, min(max(roll, -limit), limit), self.thruster(error[0], i.rate_radps[0])
+        roll = -self.gimbal["k_p"] * error[0] - self.gimbal["k_d_s"] * rate[0]
+        return commands, min(max(roll, -limit), limit), self.thruster(error[0], rate[0])
 
     def thruster(self, error, rate):
         if self.fired != 0 and self.ticks < self.shortest:
@@ -381,7 +388,7 @@ class Computer:
         k = 1.0 if sine < 1e-9 else math.atan2(sine, cosine) / sine
         limit, roll = self.s.angle_error_limit_rad, 2.0 * math.atan2(math.copysign(1.0, q[0]) * q[1], abs(q[0]))
         error = [min(max(angle, -limit), limit) for angle in (roll, k * y, k * z)]
-        gimbal, roll_gimbal, thruster = self.law.step(i, error)
+        gimbal, roll_gimbal, thruster = self.law.step(i, error, [x / self.h for x in self.nav.last])
         monitor = [*self.nav.r, *self.nav.v, self.phase, self.nav.rejected]
         own = {"gimbal_rad": gimbal, "roll_gimbal_rad": roll_gimbal, "roll_thruster": thruster, "monitor": monitor}
         return {**own, "commanded_q_BR": self.command, **out}

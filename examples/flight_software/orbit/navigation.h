@@ -1,6 +1,6 @@
 /* Navigation: strapdown integration of gyro and accelerometer increments, corrected by GNSS.
  *
- * Position and velocity are those of the accelerometer, in I. A Kalman filter with a position and a velocity error per
+ * Of several inertial units, the middle increment counts. Position and velocity are those of the accelerometer, in I. A Kalman filter with a position and a velocity error per
  * axis (the same covariance for all axes) weighs each GNSS solution. The solution is compared with the state at the
  * time at which it was valid. Solutions farther off than GATE standard deviations are rejected.
  */
@@ -23,6 +23,7 @@ typedef struct {
 } moment;
 
 typedef struct {
+    double angle_rad[3], velocity_mps[3]; /* increments of the sample */
     double q_BI[4], last_rad[3], r[3], v[3];
     double p_rr, p_rv, p_vv; /* covariance of an axis */
     moment past[HISTORY];
@@ -58,6 +59,42 @@ static void ground(const maxq_fsw_setup *s, const double r[3], double v[3])
     v[2] = 0.0;
 }
 
+/* The middle of up to three numbers. */
+static double middle_of(double x[3], int count)
+{
+    int i, j;
+    for (i = 1; i < count; ++i) {
+        for (j = i; j > 0 && x[j] < x[j - 1]; --j) {
+            const double kept = x[j];
+            x[j] = x[j - 1];
+            x[j - 1] = kept;
+        }
+    }
+    return count == 2 ? 0.5 * (x[0] + x[1]) : x[count / 2];
+}
+
+/* Select the increments of each axis: the middle one of the units whose samples have arrived, else of the first unit. */
+static void nav_select(navigation *n, const maxq_fsw_inputs *in)
+{
+    int unit[3], count = 0, axis, k;
+    for (k = 0; k < 3; ++k) {
+        if (k < in->imu_count && (in->imu_health >> k & 1)) {
+            unit[count++] = k;
+        }
+    }
+    unit[0] = count > 0 ? unit[0] : 0;
+    count = count > 0 ? count : 1;
+    for (axis = 0; axis < 3; ++axis) {
+        double angle[3], velocity[3];
+        for (k = 0; k < count; ++k) {
+            angle[k] = in->imu_delta_angle_rad[unit[k]][axis];
+            velocity[k] = in->imu_delta_velocity_mps[unit[k]][axis];
+        }
+        n->angle_rad[axis] = middle_of(angle, count);
+        n->velocity_mps[axis] = middle_of(velocity, count);
+    }
+}
+
 /* Correct the state by a GNSS solution. */
 static void nav_correct(navigation *n, const maxq_fsw_setup *s, const maxq_fsw_inputs *in)
 {
@@ -76,7 +113,7 @@ static void nav_correct(navigation *n, const maxq_fsw_setup *s, const maxq_fsw_i
     ground(s, r, spin);
     add_scaled(v, 1.0, spin, v);
     for (i = 0; i < 3; ++i) {
-        rate[i] = in->delta_angle_rad[i] / sample_s;
+        rate[i] = n->angle_rad[i] / sample_s;
     }
     rotate(n->q_BI, s->gnss_lever_B_m, arm);
     cross(rate, s->gnss_lever_B_m, swing);
@@ -115,9 +152,10 @@ static void nav_step(navigation *n, const maxq_fsw_setup *s, const maxq_fsw_inpu
     double by[3], half[4], dv[3], g[3], before[3], middle[3];
     int i;
     moment *now;
-    cross(n->last_rad, in->delta_angle_rad, by); /* coning, as Savage, J. Guidance 21(1), 1998 */
-    add_scaled(in->delta_angle_rad, 1.0 / 12.0, by, by);
-    memcpy(n->last_rad, in->delta_angle_rad, sizeof n->last_rad);
+    nav_select(n, in);
+    cross(n->last_rad, n->angle_rad, by); /* coning, as Savage, J. Guidance 21(1), 1998 */
+    add_scaled(n->angle_rad, 1.0 / 12.0, by, by);
+    memcpy(n->last_rad, n->angle_rad, sizeof n->last_rad);
     memcpy(half, n->q_BI, sizeof half);
     turn(n->q_BI, by);
     if ((in->discretes & MAXQ_FSW_LIFTOFF) == 0 && !n->started) {
@@ -129,7 +167,7 @@ static void nav_step(navigation *n, const maxq_fsw_setup *s, const maxq_fsw_inpu
             by[i] *= 0.5;
         }
         turn(half, by);
-        rotate(half, in->delta_velocity_mps, dv);
+        rotate(half, n->velocity_mps, dv);
         add_scaled(n->r, 0.5 * h, n->v, middle);
         gravitation(s, middle, g);
         memcpy(before, n->v, sizeof before);

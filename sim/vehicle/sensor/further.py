@@ -1,4 +1,4 @@
-"""Sensors after the first gyro: rate gyros and an accelerometer, triads at their own stations on the bent body.
+"""Sensors after the first gyro: rate gyros and accelerometers, triads at their own stations on the bent body.
 
 A rate gyro is modelled as the first gyro (gyro.py). An accelerometer measures the specific force at its place, in its
 own axes, which rotate with the bent body (docs/model.md, section 2):
@@ -59,11 +59,10 @@ class Sensor:
 
 
 def pack_sensors(stage: Stage, ideal: bool) -> tuple[Sensor, ...]:
-    """Return the sensors of a stage: its rate gyros, then its accelerometer, padded with unused sensors."""
+    """Return the sensors of a stage: its rate gyros, then its accelerometers, padded with unused sensors."""
     none = Sensor(RATE_GYRO, 0.0, 0.0, pack_gyro(None, ideal=True))
     out = [Sensor(RATE_GYRO, each.station_m, each.dropout, pack_gyro(each, ideal)) for each in stage.rate_gyro]
-    given = stage.accelerometer
-    if given is not None:
+    for given in stage.accelerometers:
         turned = [math.radians(angle) for angle in given.misalignment_deg]
         errors: tuple[Any, ...] = (*given.bias_mps2, *given.scale_factor, *turned, given.noise_mps_rt_h / _ROOT_HOUR)
         triad = Gyro(*(given.station_m, 2.0 * math.pi * given.omega_hz, given.zeta, *errors, 0))
@@ -171,10 +170,17 @@ class RateGyroRow(NamedTuple):
 
 
 class AccelerometerRow(NamedTuple):
-    """The log row of the accelerometer."""
+    """The log row of the first accelerometer."""
 
     accelerometer_axis_mps2: Annotated[Xyz, "m/s2", "output of the accelerometer: specific force at its station"]
     accelerometer_axis_counted_mps2: Annotated[Xyz, "m/s2", "computer input: mean over a sample"]
+
+
+class FurtherAccelerometerRow(NamedTuple):
+    """The log row of an accelerometer after the first."""
+
+    accelerometer_number_axis_mps2: Annotated[Xyz, "m/s2", "output of the accelerometer"]
+    accelerometer_number_axis_counted_mps2: Annotated[Xyz, "m/s2", "computer input: mean over a sample"]
 
 
 @kernel
@@ -193,3 +199,9 @@ def accelerometer_row(faults: Array, k: int, y: Array, first: int, counted: Vect
         accelerometer_axis_mps2=Xyz(along, right, down),
         accelerometer_axis_counted_mps2=Xyz(counted[0], counted[1], counted[2]),
     )
+
+
+@kernel
+def further_accelerometer_row(faults: Array, k: int, y: Array, first: int, counted: Vector) -> FurtherAccelerometerRow:
+    row = accelerometer_row(faults, k, y, first, counted)
+    return FurtherAccelerometerRow(row.accelerometer_axis_mps2, row.accelerometer_axis_counted_mps2)

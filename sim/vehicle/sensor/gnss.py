@@ -21,7 +21,7 @@ from maxq.control.kernel.vectors import add, cross, rotate, rotation_from_quater
 from maxq.sim.vehicle.block import Q_BI, R_I, V_I, W_BI_B
 from maxq.sim.vehicle.faults import GNSS_ADDED, GNSS_OUTAGE, GNSS_STUCK
 from maxq.sim.vehicle.schedule import CORE_CG
-from maxq.sim.world.earth import Earth, earth_rotation, inertial_to_earth, local_frame, ned_to_earth
+from maxq.sim.world.earth import Earth, earth_rotation, ground_velocity, inertial_to_earth, local_frame, ned_to_earth
 
 if TYPE_CHECKING:
     from maxq.sim.vehicle.sensor.section import GnssSection
@@ -118,9 +118,9 @@ def _fix(
     r = add(vector_at(y, R_I), rotate(rotation, rho))
     v = add(vector_at(y, V_I), rotate(rotation, cross(vector_at(y, W_BI_B), rho)))
     cos, sin = earth_rotation(earth, 1e-9 * now_ns)
-    spin = earth.rate_radps
+    ground = ground_velocity(earth, r[0], r[1])
     r_E = inertial_to_earth(cos, sin, r[0], r[1], r[2])
-    v_E = inertial_to_earth(cos, sin, v[0] + spin * r[1], v[1] - spin * r[0], v[2])
+    v_E = inertial_to_earth(cos, sin, v[0] - ground[0], v[1] - ground[1], v[2] - ground[2])
     _, sin_lat, cos_lat, sin_lon, cos_lon = local_frame(earth, r_E[0], r_E[1], r_E[2])
     e, b = memory.error, g.position_bias_m
     wrong = (

@@ -120,7 +120,7 @@ def topics(scenario: str) -> str:
     """Return tables of every channel that flights of a scenario log, and of those for parts that its vehicle lacks."""
     loaded = load_scenario(scenario)
     stage = loaded.vehicle.stage[0]
-    sizes = replace(stage_sizes(stage, loaded.scenario.switches), tvc_loads=1, sensors=2, buffets=1, feed_lines=1)
+    sizes = replace(stage_sizes(stage, loaded.scenario.switches), tvc_loads=1, sensors=3, buffets=1, feed_lines=1)
     assert stage.loads is not None
     first = f"station 1 at {stage.loads.stations_m[0]:g} m"
     return topics_markdown(
@@ -129,7 +129,7 @@ def topics(scenario: str) -> str:
             stage.pendulum_names,
             (first,),
             external=True,
-            accelerometer=True,
+            accelerometers=2,
             adaptive=True,
             drift=True,
             receivers=True,
