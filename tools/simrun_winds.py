@@ -113,11 +113,9 @@ def _opened(files: Sequence[str]) -> Any:
             raise ScenarioError(file, "no such file", allowed="NetCDF or GRIB files with winds on pressure levels")
         with open(file, "rb") as head:
             grib = head.read(4) == b"GRIB"
-        options = (
-            {"backend_kwargs": {"indexpath": "", "filter_by_keys": {"typeOfLevel": "isobaricInhPa"}}} if grib else {}
-        )
+        options: dict[str, Any] = {"engine": "cfgrib", "backend_kwargs": _OF_GRIB} if grib else {}
         try:
-            parts.append(xarray.open_dataset(file, engine="cfgrib" if grib else None, **options).load())
+            parts.append(xarray.open_dataset(file, **options).load())
         except Exception as error:  # each reader has its own
             reason = " ".join(str(error).split())[:200]
             raise ScenarioError(file, f"cannot be read: {reason}", allowed="NetCDF or GRIB") from None
