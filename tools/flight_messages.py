@@ -32,7 +32,7 @@ _SIZES = {"int64_t": 8, "double": 8, "char": 1, "uint32_t": 4}
 
 
 class Field(NamedTuple):
-    """A field of a message: its place, its type in C, and the version of maxq_fsw.h that has added it."""
+    """A field of a message: its place, its type in C, and the version of maxq_fsw.h that added it."""
 
     message: str
     offset: int

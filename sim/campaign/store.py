@@ -301,7 +301,7 @@ def _identity(campaign: LoadedCampaign, shard: str | None) -> dict[str, Any]:
 
 
 def _refuse_other(place: object, before: dict[str, Any], identity: dict[str, Any], elsewhere: str) -> None:
-    """Raise CampaignError if the campaign.json of a place, `before`, is that of another campaign or shard."""
+    """Raise CampaignError if the campaign.json of a place, `before`, belongs to another campaign or shard."""
     changed = differences(before, identity)
     shards, totals = ([each.get(SHARD) for each in (before, identity)], [runs_of(each) for each in (before, identity)])
     if shards[0] != shards[1]:

@@ -70,7 +70,7 @@ class CampaignRecord(TypedDict):
 
 
 class PartsRecord(TypedDict):
-    """The numbers of parts recalled from the cache and worked out."""
+    """The numbers of parts recalled from the cache and computed."""
 
     recalled: int
     worked_out: int
