@@ -84,7 +84,7 @@ def trade_off(
     watch: Callable[[int, int], None] = lambda done, of: None,
     count: int = POINTS,
 ) -> tuple[TradePoint, ...]:
-    """Return the curve of a case with one stage, from the optimum of the first objective to that of the second.
+    """Return the curve of a case with one stage, from the optimum of the first objective to the optimum of the second.
 
     `plants` are the plants of the case. Limits of the case on both quantities are omitted, and all other limits hold.
     `also_from` contains laws as starts. Each of the `count` points is searched from both neighbours. Points without a

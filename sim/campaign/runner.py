@@ -242,7 +242,7 @@ def _flown(
     stop: Callable[[], bool],
     until_settled: bool,
 ) -> Outcome:
-    """Fly those of `runs` that are missing in the store of a campaign, whose usual size of batches is `usual`."""
+    """Fly the runs of `runs` that are missing in the store of a campaign; `usual` is its usual size of batches."""
     gaps = list(store.missing(runs, flyers.batch(usual, len(runs))))
     tasks = flyers.begin(gaps)
     interim = Interim(campaign, runs.start)

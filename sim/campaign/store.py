@@ -97,7 +97,7 @@ class Store:
             self.folder.rmdir()
 
     def missing(self, runs: range, batch: int) -> Iterator[tuple[int, int]]:
-        """Yield those of `runs` that are in no part, as (first, count), divided at multiples of `batch`."""
+        """Yield the runs of `runs` that are in no part, as (first, count), divided at multiples of `batch`."""
         at = runs.start
         for part in [*parts_in(self.folder), StoredPart(self.folder, runs.stop, runs.stop)]:
             while at < min(part.first, runs.stop):

@@ -90,7 +90,7 @@ class AttemptRecord(TypedDict):
 
 
 class RecalledRecord(TypedDict):
-    """The results from the cache, and those of them that were computed again."""
+    """The results from the cache, and the results among them that were computed again."""
 
     parts: list[str]
     computed_again: list[str]
