@@ -401,10 +401,10 @@ def workbench(
     A notebook shows the page if its browser runs on the machine of its kernel.
 
     :param design: Design file, folder with a design.toml, or the name of a built-in design.
-    :param scenario: Scenario whose flight contains the operating points. The default is that of the design.
-    :param times_s: Vehicle times of the operating points, s. The default are those of the design.
+    :param scenario: Scenario whose flight contains the operating points. The default is the scenario of the design.
+    :param times_s: Vehicle times of the operating points, s. The default is the times of the design.
     :param points: File of published derivatives in place of a scenario.
-    :param also: Designs to draw too.
+    :param also: Further designs to draw.
     :param folder: Folder in which trials are saved.
     :param port: Port on this machine. The default is a free one.
     :returns: The server, with the address in `url` and the design last shown in `trial`. It runs until `close()`.

@@ -375,7 +375,7 @@ def test_a_function_is_named_by_its_file(tmp_path: Path) -> None:
 
 
 def test_a_step_goal_needs_the_sampled_loop() -> None:
-    with pytest.raises(ScenarioError, match="is that of the sampled loop"):
+    with pytest.raises(ScenarioError, match="which only the sampled loop has"):
         kit.case("goal=[{quantity='overshoot_pct',limit=5}]")
     assert GoalSection(quantity="KS", most_db=((1.0, 0.0), (2.0, 1.0))).about.label == "|KS| over its template"
     assert set(transfers(loops_of()[2][0], np.array([1.0]))) == {"S", "T", "KS", "L"}

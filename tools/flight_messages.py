@@ -32,7 +32,7 @@ _SIZES = {"int64_t": 8, "double": 8, "char": 1, "uint32_t": 4}
 
 
 class Field(NamedTuple):
-    """A field of a message: its place, its type in C, and the version of maxq_fsw.h that has added it."""
+    """A field of a message: its place, its type in C, and the version of maxq_fsw.h that added it."""
 
     message: str
     offset: int
@@ -60,7 +60,7 @@ def fields() -> Iterator[Field]:
 def _head(message: str, kind: str, has_code: bool) -> Iterator[Field]:
     yield Field(message, 0, 4, "char[4]", "magic", 1, "MAXQ")
     yield Field(message, 4, 4, "uint32_t", "kind", 1, kind)
-    number = "that of the message" if has_code else "1 for the setup, then counts up"
+    number = "number of the message" if has_code else "1 for the setup, then counts up"
     yield Field(message, 8, 8, "int64_t", "number", 1, number)
     if has_code:
         yield Field(message, _HEADER_BYTES, _CODE_BYTES, "int64_t", "code", 1, "0: success")

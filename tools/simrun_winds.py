@@ -1,8 +1,8 @@
 """The subcommand `simrun winds FILE...`: wind profiles at a place, from gridded data of weather services.
 
-The files are NetCDF or GRIB with winds on pressure levels, such as those of ERA5, GFS and MERRA-2. xarray (extra
-`maxq[winds]`) interpolates them linearly in latitude, longitude and time on each level. One CSV file is written
-for each time and ensemble member; `wind.profile` and `[wind_model] profiles` accept the files and their folder.
+The files are NetCDF or GRIB with winds on pressure levels, such as those of ERA5, GFS and MERRA-2. They are
+interpolated linearly in latitude, longitude and time on each level, by xarray (extra `maxq[winds]`). One CSV file is
+written for each time and ensemble member; `wind.profile` and `[wind_model] profiles` accept the files and their folder.
 
 Without heights, altitudes follow from the pressure by the US Standard Atmosphere 1976 (`wind_table` in
 sim/scenario/soundings.py). A level is omitted if a value is missing. Weather models extrapolate below the ground.

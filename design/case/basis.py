@@ -204,7 +204,7 @@ class Basis(Section):
                 raise refuse("needs a wind", "a table [wind]", ("limits", key))
         steps = [one.quantity for one in self.goal if one.quantity in STEPS]
         if steps and self.loop != "sampled":
-            raise refuse(f"limits a step response ({steps[0]}), which is that of the sampled loop", "none", "goal")
+            raise refuse(f"limits a step response ({steps[0]}), which only the sampled loop has", "none", "goal")
         if self.bends and self.errata == "paper":
             raise refuse("has no bending moments", "errata = 'corrected'", "errata")
 

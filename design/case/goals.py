@@ -97,7 +97,7 @@ class GoalSection(Section):
 
     @property
     def about(self) -> Quantity:
-        """Return label, unit and sense of the quantity."""
+        """Return the label, the unit and the sense of the quantity."""
         if self.quantity == "function":
             label = self.name or (self.function or "").rpartition(":")[2]
             return Quantity(label, label, self.unit, self.sense or "<=")
@@ -114,7 +114,7 @@ class GoalSection(Section):
         return (self.most_db, 1.0) if self.most_db is not None else (self.least_db or (), -1.0)
 
     def beside(self, folder: Path) -> GoalSection:
-        """Return the goal with the file of its function in a folder, if it is there."""
+        """Return the goal with the path of its function's file in a folder, if this file exists."""
         file, colon, name = (self.function or "").rpartition(":")
         there = folder / file
         return self.model_copy(update={"function": f"{there}{colon}{name}"}) if file and there.is_file() else self

@@ -54,7 +54,7 @@ def selected(name: str, names: Sequence[str]) -> IntArray:
 
 
 def bounded(given: Sequence[VariableSection], names: Sequence[str], lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Return the bounds of the variables with those of a case.
+    """Return the bounds of the variables, replaced by the bounds of a case where it has any.
 
     A fixed variable has equal bounds. Entries with `from_start` must have been replaced by values. Raises
     UnsolvableError for an unknown name, and for a frequency or gain that is not positive.

@@ -68,7 +68,7 @@ class StepPaths:
 def step_paths(path: FixedPath, measurements: tuple[str, ...], until_s: float) -> StepPaths:
     """Return the measurements of a path for step responses of `until_s`. Raises ValueError for a continuous path."""
     if not isinstance(path, SampledFixedPath):
-        raise ValueError("a step response is that of the sampled loop: allowed is loop = 'sampled'")
+        raise ValueError("a step response needs the sampled loop: allowed is loop = 'sampled'")
     period = path.sample_s
     count = math.ceil(until_s / period) + 1
     size = 2 ** math.ceil(math.log2(2 * count))

@@ -97,8 +97,8 @@ class Criterion:
     """The rows of a quantity of `QUANTITIES`, by its key.
 
     The `searches` for features are carried out only if `asked` is True, that is, if a plant has the limit. A criterion
-    of the objective has a `term` (`Problem`), and a limit -1. `weight` multiplies the excess. `goal` states the goal of
-    which it is the form. `slopes` replaces `features.sensitivity` for a quantity with another gradient.
+    of the objective has a `term` (`Problem`), and a limit -1. `weight` multiplies the excess. `goal` is the goal that
+    it represents. `slopes` replaces `features.sensitivity` for a quantity with another gradient.
     """
 
     key: str
@@ -170,7 +170,7 @@ def _modulus(seen: Seen, least: Array) -> list[JudgedFeatures]:
 
 
 def _without_limit(assessment: Assessment) -> Callable[[Seen], list[JudgedFeatures]]:
-    """Return the function of an objective, whose excess is that over 0."""
+    """Return the function of an objective, whose excess is its value."""
 
     def parts(seen: Seen) -> list[JudgedFeatures]:
         each = assessment(seen, np.zeros(len(seen.kind)))

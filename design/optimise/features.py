@@ -268,7 +268,7 @@ def points_of(first: CurveIndices, last: CurveIndices) -> tuple[CurveIndices, Cu
 
 
 def maxima(value: Array, starts: CurveIndices, ends: CurveIndices) -> CurveIndices:
-    """Return the indices of local maxima in each band. An end is one if the curve falls towards the inside."""
+    """Return the indices of local maxima in each band. An end counts if the curve falls inwards."""
     before, after = np.append(-np.inf, value[:-1]), np.append(value[1:], -np.inf)
     before[starts], after[ends] = -np.inf, -np.inf
     return np.flatnonzero((value > before) & (value >= after))
@@ -411,7 +411,7 @@ def transfer(kind: NDArray[np.int8], at: LogLoop) -> tuple[ComplexArray, Complex
 def condition(kind: NDArray[np.int8], at: LogLoop, cross: Cross, tilt: Array) -> tuple[Array, Array]:
     """Return the function that is zero at each feature, and its derivative with respect to x.
 
-    `tilt` is that of `MeshPlaces`.
+    `MeshPlaces` defines `tilt`.
     """
     residual, slope = at.first.real.copy(), at.second.real.copy()  # default: extreme of ln|L|
     k = kind == FeatureKind.GAIN_CROSSING

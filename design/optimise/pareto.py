@@ -30,7 +30,7 @@ SAME_DB = 1e-5  # smallest improvement by the search from the other neighbour
 
 @dataclass(frozen=True)
 class Aim:
-    """An objective of a trade-off: that of a case, and the limit on the same quantity.
+    """An objective of a trade-off: the objective of a case, and the limit on the same quantity.
 
     `about` is the label of an axis. A value in dB is converted by `limit` to the limit and by `shown` to a report.
     """
@@ -58,7 +58,7 @@ AIMS: dict[str, Aim] = {
 
 @dataclass(frozen=True)
 class TradePoint:
-    """A design on the curve. `values_db` are both objectives, less is better.
+    """A design on the curve. `values_db` contains both objectives; a smaller value is better.
 
     `slope` is the derivative of the first with respect to the second, dB per dB. It is NaN at the ends.
     """
@@ -90,12 +90,11 @@ def trade_off(
     watch: Callable[[int, int], None] = lambda done, of: None,
     count: int = POINTS,
 ) -> tuple[TradePoint, ...]:
-    """Return the curve of a case with one stage, from the optimum of the first objective to that of the second.
+    """Return the curve of a case with one stage, from the optimum of the first objective to the optimum of the second.
 
-    `plants` are those of the case. Limits of the case on both quantities are omitted, and all other limits hold.
+    `plants` are the plants of the case. Limits of the case on both quantities are omitted, and all other limits hold.
     `also_from` contains laws as starts. Each of the `count` points is searched from both neighbours. Points without a
-    feasible design are omitted. Raises ValueError if an end is
-    infeasible, or if the case has no wind for the load.
+    feasible design are omitted. Raises ValueError if an end is infeasible, or if the case has no wind for the load.
     """
     check_aims(loaded.case, aims)
     first, second = (_minimised(loaded, aim, aims) for aim in aims)

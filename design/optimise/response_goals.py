@@ -1,8 +1,9 @@
 """Goals on step responses, and goals that are functions in Python.
 
 Both follow from the response of the law at fixed points of each plant, together with its derivatives with respect to
-the own parameters. A function receives real and imaginary part of L. Its gradient is found by complex steps: the
-function is evaluated for parts that are complex, with the derivative of each part times a small step as imaginary part.
+the own parameters. A function receives the real and the imaginary part of L. Its gradient is found by complex steps:
+the function is evaluated for parts that are complex, with the derivative of each part times a small step as imaginary
+part.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ DB_PER_DEG = 0.2  # of a function in degrees: 6 dB for 30 deg
 class LoopValues:
     """The open loop L at an operating point, as the argument of a function of a goal.
 
-    `re` and `im` are the parts of L at `frequency_hz`, (points,). They are complex in a complex step. Therefore, a
-    function uses analytic operations of them (+, *, /, sqrt, log, arctan2 by `phase_rad`), and max, min or an index to
-    select points, but neither abs nor conjugates. All properties of this class comply.
+    `re` and `im` are the parts of L at `frequency_hz`, (points,). They are complex in a complex step. A function may
+    therefore use analytic operations (+, *, /, sqrt, log, arctan2 by `phase_rad`), and max, min or an index to select
+    points, but neither abs nor conjugates. The properties of this class comply.
     """
 
     time_s: float
@@ -182,7 +183,7 @@ class ResponseGoals:
     def values(self, own: Array) -> list[LimitValues]:
         """Return the values of all goals at the own parameters of each plant, (plants, own).
 
-        The number of a `LimitValues` is that of the goal. A response has a row for each of its largest peaks.
+        A `LimitValues` has the number of its goal. A response has a row for each of its largest peaks.
         """
         rows: list[list[tuple[int, int, float, float, Array]]] = [[] for _ in self.limits]
         for plant, mine in enumerate(own):

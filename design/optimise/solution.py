@@ -53,9 +53,9 @@ class Constraint:
 class Sensitivity:
     """The change of the worst value of a quantity with each variable.
 
-    `value` is in `unit`. `by` contains the change of the value by the name of the variable. It applies to +1 % of a
-    frequency or gain, or +0.01 of a damping ratio or weight. It is in deg for a quantity in deg, and in dB for others;
-    a dB is 12 %.
+    `value` is in `unit`. `by` contains the change of the value by the name of the variable. The changes apply to +1 %
+    of a frequency or gain, or +0.01 of a damping ratio or weight. They are in deg for a quantity in deg, and in dB (12
+    %) for others.
     """
 
     what: str

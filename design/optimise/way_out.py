@@ -40,9 +40,9 @@ LEAST_SHARE = 1e-3  # smallest multiplier that is reported
 class Relief:
     """A limit that determines the least violation, or the objective of a feasible design.
 
-    Relaxing the limit by 1 dB lowers this by `gains_db`; the sum of those of a violation is 1. `by` is 1 dB in the
-    unit of the limit. `points` are the operating points at which the limit is active, in decreasing order of their
-    share.
+    Relaxing the limit by 1 dB lowers this by `gains_db`. For a violation, the sum of all `gains_db` is 1. `by` is 1 dB
+    in the unit of the limit. `points` are the operating points at which the limit is active, in decreasing order of
+    their share.
     """
 
     what: str
@@ -65,7 +65,7 @@ def conflict(solution: Solution) -> tuple[Relief, ...]:
 
 
 def prices(solution: Solution) -> tuple[Relief, ...]:
-    """Return the limits that determine the objective of a feasible design, the dearest first.
+    """Return the limits that determine the objective of a feasible design, the most costly first.
 
     Relaxing such a limit by 1 dB improves the objective by `gains_db`, for small changes.
     """

@@ -72,7 +72,7 @@ def step_responses(loop: Loop, until_s: float) -> dict[str, Array]:
     gimbal offset. Raises ValueError for a continuous loop.
     """
     if loop.sample_s is None:
-        raise ValueError("a step response is that of the sampled loop: allowed is the kind sampled")
+        raise ValueError("a step response needs the sampled loop: allowed is the kind sampled")
     inputs = loop.law.inputs
     measured = (*inputs, *(() if ANGLES[0] in inputs else ANGLES[:1]))
     path, law = loop.fixed.measured(measured), loop.law.state_space()

@@ -1,8 +1,8 @@
 /* The messages between maxq and a flight computer behind a socket, without the socket: bytes in, bytes out.
  *
  * A transport receives link_missing() bytes at a time into l->message until 0 are missing (or a whole datagram into
- * l->message, then link_missing() has to be 0), and sends what link_answer() has written. No allocation, no library but
- * memcpy and memset. The layout of every message: simrun schema messages.
+ * l->message, then link_missing() has to be 0), and sends the reply that link_answer() has written. The functions
+ * allocate no memory and call only memcpy and memset. `simrun schema messages` prints the layout of every message.
  */
 #ifndef LINK_H
 #define LINK_H

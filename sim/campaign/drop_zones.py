@@ -29,7 +29,7 @@ class DropZone:
     - `east_m`, `north_m` (n,): points relative to it, along the ellipsoid.
     - `runs` (n,): their runs.
     - `axes_m`: semi-axes of the ellipse that contains the next point with probability LEVEL; nan for fewer than three
-      points. `azimuth_deg` is that of the major axis, from north through east, 0 to 180.
+      points. `azimuth_deg` is the azimuth of the major axis, from north through east, 0 to 180.
     """
 
     number: int
@@ -96,7 +96,7 @@ def prediction_ellipse(east_m: Array, north_m: Array, level: float = LEVEL) -> t
 
     The next point of the same normal distribution is inside with probability `level`. Its squared Mahalanobis distance
     by the sample covariance of n points is 2 (n^2 - 1) / (n (n - 2)) times an F(2, n - 2) variate. Source: Johnson and
-    Wichern, Applied Multivariate Statistical Analysis, section 5.4. nan for fewer than three points.
+    Wichern, Applied Multivariate Statistical Analysis, section 5.4. The result is nan for fewer than three points.
     """
     n = len(east_m)
     if n < _FEWEST:

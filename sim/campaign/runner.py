@@ -242,7 +242,7 @@ def _flown(
     stop: Callable[[], bool],
     until_settled: bool,
 ) -> Outcome:
-    """Fly those of `runs` that are missing in the store of a campaign, whose usual size of batches is `usual`."""
+    """Fly the runs of `runs` that are missing in the store of a campaign; `usual` is its usual size of batches."""
     gaps = list(store.missing(runs, flyers.batch(usual, len(runs))))
     tasks = flyers.begin(gaps)
     interim = Interim(campaign, runs.start)
@@ -394,8 +394,7 @@ class DaskCluster:
 
     A task receives the whole campaign, flies a batch, counts its failures, and returns the content of its files. The
     client writes these as they are, which takes less than a hundredth of the time of handling each row. Any worker can
-    repeat a task at any time, and workers may join and leave. The rows are bit for bit those of threads on this
-    machine.
+    repeat a task at any time, and workers may join and leave. The rows equal those of a local campaign, bit for bit.
     """
 
     def __init__(self, campaign: LoadedCampaign, client: Any) -> None:
@@ -408,7 +407,7 @@ class DaskCluster:
 
     @property
     def _threads(self) -> int:
-        """Return the number of threads of all workers, which a message to the scheduler finds out now and then."""
+        """Return the number of threads of all workers, which the scheduler reports now and then."""
         if (now := time.monotonic()) - self._counted_s > _COUNT_S:
             self._counted, self._counted_s = sum(self._client.nthreads().values()), now
         return self._counted

@@ -157,8 +157,8 @@ def _checked(given: _Given, schema: pa.Schema) -> list[StoredPart]:
 def merge(campaign: LoadedCampaign, parts: Sequence[StoredPart], place: Path) -> None:
     """Copy the parts of a campaign and their histories into the folder of the whole campaign.
 
-    The folder can then be judged, enlarged and flown again like that of any campaign. An interrupted merging can be
-    repeated. Raises CampaignError.
+    The folder can then be judged, enlarged and flown again like the folder of any campaign. An interrupted merging can
+    be repeated. Raises CampaignError.
     """
     names = {part.path.name for part in parts}
     store, _ = open_store(place, campaign)

@@ -97,7 +97,7 @@ class Store:
             self.folder.rmdir()
 
     def missing(self, runs: range, batch: int) -> Iterator[tuple[int, int]]:
-        """Yield those of `runs` that are in no part, as (first, count), divided at multiples of `batch`."""
+        """Yield the runs of `runs` that are in no part, as (first, count), divided at multiples of `batch`."""
         at = runs.start
         for part in [*parts_in(self.folder), StoredPart(self.folder, runs.stop, runs.stop)]:
             while at < min(part.first, runs.stop):
@@ -301,7 +301,7 @@ def _identity(campaign: LoadedCampaign, shard: str | None) -> dict[str, Any]:
 
 
 def _refuse_other(place: object, before: dict[str, Any], identity: dict[str, Any], elsewhere: str) -> None:
-    """Raise CampaignError if the campaign.json of a place, `before`, is that of another campaign or shard."""
+    """Raise CampaignError if the campaign.json of a place, `before`, belongs to another campaign or shard."""
     changed = differences(before, identity)
     shards, totals = ([each.get(SHARD) for each in (before, identity)], [runs_of(each) for each in (before, identity)])
     if shards[0] != shards[1]:

@@ -10,8 +10,8 @@ eng-data with t (s) and f (N). They are read like RASP files; masses and centre 
 Drag curves of RocketPy and OpenRocket are lines of a Mach number and a drag coefficient, without a line of names.
 
 Missile DATCOM output (for006.dat; W. B. Blake, AFRL-VA-WP-TR-1998-3009) has pages "STATIC AERODYNAMICS FOR ..." with
-MACH NO and columns ALPHA, CN, CM, CA, CY, CLN, CLL. For each Mach number the last page is read, that of the whole
-configuration. Area, lengths and moment centre of the run must be those of the vehicle file.
+MACH NO and columns ALPHA, CN, CM, CA, CY, CLN, CLL. For each Mach number, the last page is read, which describes the
+whole configuration. Area, lengths and moment centre of the run must equal those of the vehicle file.
 """
 
 from __future__ import annotations

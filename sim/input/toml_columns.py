@@ -14,8 +14,8 @@ _COLUMN = re.compile(r"^([\w-]+ = )(\[[-+.,0-9eE \[\]]{200,}\])$", re.MULTILINE)
 def loads(text: str) -> dict[str, Any]:
     """Return the document in `text` as `tomllib.loads` does, in a fifth of the time for a scenario as flown.
 
-    A line `KEY = [...]` with a long array of numbers is read as JSON, whose notation of numbers is part of that of
-    TOML. Raises the errors of tomllib.
+    A line `KEY = [...]` with a long array of numbers is read as JSON, whose notation of numbers TOML includes. Raises
+    the errors of tomllib.
     """
     columns = list[Any]()
 

@@ -123,7 +123,7 @@ def falling_impacts(
 def air_column(packed: Packed) -> AirColumn:
     """Return the air of a packed scenario before its flight over altitude, with wind profile and gusts.
 
-    Turbulence is left out.
+    Turbulence is omitted.
     """
     parameters = packed.parameters.copy()
     parameters["environment"]["turbulence"]["on"] = 0

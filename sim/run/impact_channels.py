@@ -48,8 +48,8 @@ class DragImpactRow(NamedTuple):
 class DroppedBody:
     """A body that a vehicle drops, and its state (3,) in I immediately before the separation.
 
-    `number` is that of the separation, from 1. Without a ballistic coefficient, the body falls in vacuum. The impulse
-    of the separation is neglected.
+    `number` is the number of the separation, from 1. Without a ballistic coefficient, the body falls in vacuum. The
+    impulse of the separation is neglected.
     """
 
     number: int
@@ -74,8 +74,8 @@ class WithImpacts(Tabular):
     """A flight or its log with the channels of its instantaneous impact points.
 
     The vacuum impact point has the times of slow rows. With `ballistic_kgpm2`, m / (C_D A), the impact point with drag
-    has about one row per second. The ground is that of the event `impact`. On an Earth that is flat or without central
-    gravitation, there are no impact channels. Raises LogError for a log without a scenario.
+    has about one row per second. The ground is defined as for the event `impact`. On an Earth that is flat or without
+    central gravitation, there are no impact channels. Raises LogError for a log without a scenario.
     """
 
     def __init__(self, source: Flight | Log, ballistic_kgpm2: float | None = None) -> None:

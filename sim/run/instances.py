@@ -353,7 +353,7 @@ class _Remote(_InPython):
             return _CODE.unpack_from(answer, HEADER.size)[0], self._struct(answer[_HEAD:], expected, until)
 
     def _struct(self, content: bytes, expected: int, until: float) -> bytes:
-        """Return the struct of an answer, or raise OSError if it is not that of this version of maxq_fsw.h.
+        """Return the struct of an answer, or raise OSError if it does not belong to this version of maxq_fsw.h.
 
         `content` follows the code of the answer; of a stream, nothing has been received yet. The struct may begin with
         0 in place of its size.

@@ -249,7 +249,7 @@ _OPTIONS = {"kind": "loop", "axis": "plane", "errata": "errata", "plant": "plant
 
 
 def designed_along(design: str) -> str:
-    """Return the scenario that the basis of a design names: a built-in one or a file. It is "nominal" without a name.
+    """Return the scenario that the basis of a design names, built in or a file. The default is "nominal".
 
     Raises ScenarioError for another name, and for a file that does not exist in the working folder.
     """

@@ -192,13 +192,13 @@ class AnalysedLoop(Loop):
         return BodeCurves(picture.frequency_hz, level, unwrapped_deg(picture), picture.loop, picture)
 
     def nichols(self, frequencies_hz: ArrayLike | None = None) -> NicholsCurves:
-        """Return the curve in the Nichols plane at frequencies. The arguments are those of `bode`."""
+        """Return the curve in the Nichols plane at frequencies, with the arguments of `bode`."""
         picture = self._picture(frequencies_hz)
         phase = np.degrees(np.angle(-picture.loop)) - 180.0
         return NicholsCurves(picture.frequency_hz, phase, decibels(picture.loop), picture)
 
     def sensitivity(self, frequencies_hz: ArrayLike | None = None) -> SensitivityCurves:
-        """Return S, T, C S and P S at frequencies, with the peaks of S and T. The arguments are those of `bode`."""
+        """Return S, T, C S and P S at frequencies, and the peaks of S and T, with the arguments of `bode`."""
         f = self._checked(self.frequencies() if frequencies_hz is None else frequencies_hz)
         loop, path, found = self.response(f), self.fixed.response(f), self.margins().disks
         s = 1.0 / (1.0 + loop)

@@ -100,7 +100,7 @@ class Designed:
 def designed(case: str | Path, overrides: Sequence[str], points: Sequence[GivenPoint] | None = None) -> Designed:
     """Return the design of a case: gain schedules and bending filter, optimised along their own flight.
 
-    `points` are operating points in place of those of the case.
+    `points` replace the operating points of the case.
     """
     if points is not None:
         given = PointList(tuple(points))

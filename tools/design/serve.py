@@ -84,7 +84,7 @@ class WorkbenchServer:
         return f'<iframe src="{self.url}" title="workbench" style="width: 100%; height: 60rem; border: 0"></iframe>'
 
     def answer(self, path: str, body: bytes = b"") -> tuple[int, str, bytes]:
-        """Return status, content type and content for a path below the token; `body` is that of a POST."""
+        """Return status, content type and content for a path below the token; `body` is the body of a POST."""
         try:
             with self._lock:  # one computation at a time
                 if path == "":

@@ -50,8 +50,8 @@ _LATEST_PATHS = 32
 class Slider:
     """A number of the design that a trial changes.
 
-    `value` is that of the opened design. A gain has a factor on its whole schedule; `shown` is the value that belongs
-    to a factor of 1 at each operating point, or None.
+    `value` is the value in the opened design. A gain has a factor on its whole schedule; `shown` is the value that
+    belongs to a factor of 1 at each operating point, or None.
     """
 
     key: str

@@ -27,7 +27,7 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 @dataclass(frozen=True)
 class TestCase:
-    """A requirement. `group` is its class name, `said` the reason, and `more` how to reproduce it, or a waiver."""
+    """A requirement. `group` is its class name, `said` the reason, and `more` a command that repeats it or a waiver."""
 
     group: str
     name: str

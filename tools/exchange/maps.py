@@ -32,8 +32,8 @@ _COLOURS = {"trajectory": "ff00a5ff", "impact": "ff0000ff", "impact with drag": 
 class Feature:
     """A line, a point or an area of a map.
 
-    `places` (n, 2) or (n, 3) has longitude, latitude (deg) and, in the air, altitude (m). Those of an area are its
-    corners, anticlockwise, the last equal to the first.
+    `places` (n, 2) or (n, 3) has longitude, latitude (deg) and, in the air, altitude (m). An area has its corners,
+    anticlockwise, the last equal to the first.
     """
 
     name: str

@@ -160,7 +160,7 @@ def plain(value: Any) -> Any:
 
 
 def _rounded(values: Any) -> list[float | None]:
-    """Return `plain` of an array (n,), at once for all numbers."""
+    """Return the numbers of an array (n,) as `plain` does, all at once."""
     finite = np.isfinite(values)
     x = np.where(finite, values, 0.0)
     digits = np.clip(5.0 - np.floor(np.log10(np.maximum(np.abs(x), 1e-17))), -22, 22)  # 10**22 is exact

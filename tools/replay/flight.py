@@ -254,7 +254,7 @@ def launch_of(log: Log) -> tuple[EarthSection, Site]:
     """Return the Earth and the launch site of a log.
 
     Only two tables of the scenario are read, since reading the whole scenario takes a tenth of a second. If they cannot
-    be read, the Earth is WGS 84 and the site is that in the metadata of the log.
+    be read, the Earth is WGS 84, and the site comes from the metadata of the log.
     """
     tables = re.findall(r"^\[(?:earth|site)\]\n(?:[^\[\n].*\n|\n)*", _scenario_text(log) or "", re.MULTILINE)
     try:

@@ -70,7 +70,7 @@ class CampaignRecord(TypedDict):
 
 
 class PartsRecord(TypedDict):
-    """The numbers of parts recalled from the cache and worked out."""
+    """The numbers of parts recalled from the cache and computed."""
 
     recalled: int
     worked_out: int
@@ -90,7 +90,7 @@ class AttemptRecord(TypedDict):
 
 
 class RecalledRecord(TypedDict):
-    """The results from the cache, and those of them that were computed again."""
+    """The results from the cache, and the results among them that were computed again."""
 
     parts: list[str]
     computed_again: list[str]

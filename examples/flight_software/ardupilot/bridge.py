@@ -2,16 +2,16 @@
 
     simrun fly examples/flight_software/ardupilot/ksr3.toml --pace
 
-Written from ArduPilot's description of the interface (libraries/SITL/examples/JSON/readme.md) and tried with a test
-peer that speaks it (tests/ardupilot_peer.py). ArduPilot itself has not been run with it.
+The bridge follows ArduPilot's description of the interface (libraries/SITL/examples/JSON/readme.md). It was tested with
+a substitute for ArduPilot (tests/ardupilot_peer.py), not with ArduPilot.
 
-ArduPilot sends a packet of servo outputs and waits for a line of JSON with the state, in lock-step. The state is that
-of the sensors of the scenario: GNSS position and velocity of the antenna relative to the place of the start, attitude
-by the gyro, rates and specific force. Ideal sensors give the true state, to which ArduPilot adds errors of its own.
+ArduPilot sends a packet of servo outputs and waits for a line of JSON with the state, in lock-step. The state comes
+from the sensors of the scenario: GNSS position and velocity of the antenna relative to the place of the start, attitude
+by the gyro, rates and specific force. Ideal sensors give the true state, to which ArduPilot adds its own errors.
 
 The key `settings` contains pairs name=value:
 
-- port: of ArduPilot's packets, on this machine (9002).
+- port: port for ArduPilot's packets on this machine (9002).
 - wait_s: time limit for a packet, below vehicle.computer.timeout_s (1.5). The first one may take 30 s.
 - pitch, yaw, roll, ignition: servo outputs, from 1; 0: none (1, 2, 3, 0). 1000 to 2000 us are -full_deg to full_deg of
   the gimbals; roll thrusters fire beyond 1300 and 1700 us, and the engines start above 1500 us, which needs

@@ -1,6 +1,6 @@
 /* A cFS application that flies in maxq: flight code (maxq_fsw.h) behind a socket of OSAL.
  *
- * The application uses cFE and OSAL by their own names. Here, posix/cfe.h and posix/cfe.c stand in for the few functions
+ * The application calls cFE and OSAL by their own names. Here, posix/cfe.h and posix/cfe.c replace the functions that
  * it needs, so that it builds with a C compiler alone:
  *
  *   cc -std=c99 -O2 -I. -I.. -Iposix -o maxq_app maxq_app.c posix/cfe.c ../pd_law.c -lm
