@@ -401,12 +401,15 @@ def test_a_run_beyond_its_limit_is_counted_and_one_without_a_value_too(
     bound: str, values: tuple[float, ...], worst: float
 ) -> None:
     tally = Tally("incidence", RequirementSection.model_validate({"metric": "max_alpha_deg", bound: 5.0}))
-    missed = [tally.add("burnout", "", {"max_alpha_deg": value}) for value in values]
-    assert missed == [False, True, False]  # the second lies beyond, the third on it
-    assert tally.add("diverged", "", {"max_alpha_deg": 5.0})
+    counts = [tally.judge("burnout", "", {"max_alpha_deg": value}) for value in values]
+    assert counts == list(zip((0, 1, 0), values, strict=True))  # the second lies beyond, the third on it
+    void = tally.judge("diverged", "", {"max_alpha_deg": 5.0})
+    assert void[0] == 1
+    for count in (*counts, void):
+        tally.add(count)
     assert (tally.failures, tally.worst) == (2, worst)
     kept = Tally("control kept", None)
-    assert [kept.add("burnout", "", {}), kept.add("burnout", "incidence", {})] == [False, True]
+    assert [kept.judge("burnout", "", {})[0], kept.judge("burnout", "incidence", {})[0]] == [0, 1]
 
 
 @pytest.mark.parametrize("bound", ["limit", "minimum"])

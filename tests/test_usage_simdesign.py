@@ -256,7 +256,7 @@ WRONG = {
     ),
     "option of analyse": (
         ["ksr3-identical", "--at", "3"],
-        "--at is an option of simdesign analyse, errata or export, not of simdesign optimise",
+        "--at is an option of simdesign analyse, open, errata or export, not of simdesign optimise",
     ),
 }
 

@@ -187,7 +187,7 @@ WRONG = {
     "unknown kind": (["analyse", "ksr3-default", "--kind", "z"], "invalid choice: 'z'"),
     "option of another order": (
         ["--list", "--at", "3"],
-        "--at is an option of simdesign analyse, errata or export, not of simdesign;",
+        "--at is an option of simdesign analyse, open, errata or export, not of simdesign;",
     ),
     "option of a case": (
         ["analyse", "x", "--seed", "3"],

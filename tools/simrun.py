@@ -246,8 +246,8 @@ def _add_files(parser: Parser) -> None:
     about = "Print the JSON Schema of a kind of file, or the interface of flight code"
     schema = parser.command("schema", about, examples, _print_schema)
     kinds = (
-        f"{', '.join(_MODELS)}; verdict: verdict.json; flight-software: the C header maxq_fsw.h; "
-        "messages: its structs over a socket"
+        f"{', '.join(_MODELS)}; verdict: verdict.json; messages: structs over a socket; "
+        "flight-software: the C header maxq_fsw.h"
     )
     schema.option("KIND", kinds, choices=_KINDS)
     examples = "  simrun upgrade mine/case.toml            convert the file in place\n"
@@ -259,7 +259,7 @@ def _add_files(parser: Parser) -> None:
 def _add_export(parser: Parser) -> None:
     examples = """\
   simrun export runs/nominal/flight.mcap --csv f.csv --kml f.kml
-  simrun export runs/nominal/flight.mcap --mat f.mat --channels /truth --channels mach
+  simrun export runs/nominal/flight.mcap --mat f.mat --channels /truth
   simrun export runs/nominal/flight.mcap --oem f.oem --utc 2026-01-31T12:00:00Z
   simrun export nominal --fmu rocket.fmu   needs the extra maxq[fmu]
 """

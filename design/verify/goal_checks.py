@@ -20,7 +20,6 @@ from maxq.design.loop.loop import Loop
 from maxq.design.loop.own_part import NEAREST_NYQUIST
 from maxq.design.margins.measured_loop import LoopAtPoint
 from maxq.design.margins.solving import vertex
-from maxq.design.optimise.response_goals import LoopValues, function_of
 from maxq.design.quantities import STEPS, Convention
 
 PER_SEGMENT = 800  # frequencies of a template's segment, in addition to those around resonances
@@ -121,6 +120,8 @@ def goal_value(one: LoopAtPoint, goal: GoalSection) -> float:
         top = min(goal.band_hz[1], NEAREST_NYQUIST * loop.highest_hz)
         hz = np.geomspace(goal.band_hz[0], top, FUNCTION_POINTS)
         value = loop.response(hz)
+        from maxq.design.optimise.response_goals import LoopValues, function_of  # noqa: PLC0415  # lazy: few designs need it
+
         return float(np.real(function_of(goal.function or "")(LoopValues(one.time_s, hz, value.real, value.imag))))
     assert goal.about.value is not None
     return goal.about.value(one, Convention())
