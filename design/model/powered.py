@@ -198,13 +198,17 @@ def flown_run(scenario: LoadedScenario, faults: bool, log: bool = False) -> Flig
     return _Resumed(_ascent(scenario, faults))
 
 
+def step_at_ns(time_s: float, step_ns: int) -> int:
+    """Return the time (ns) of the integrator's step nearest to a vehicle time, for steps of equal length."""
+    return round(time_s * 1e9 / step_ns) * step_ns
+
+
 def flown_to(run: FlightRun, time_s: float) -> int:
     """Continue the flight to the integrator's step nearest to a vehicle time, and return the time of that step in ns.
 
     Raises ValueError if no engine burns at that time, and after the loss of the flight.
     """
-    step_ns = int(run.packed.parameters[0].timeline.step_ns)
-    at_ns = round(time_s * 1e9 / step_ns) * step_ns
+    at_ns = step_at_ns(time_s, int(run.packed.parameters[0].timeline.step_ns))
     begins_s = run.now_s
     if at_ns < round(begins_s * 1e9):
         raise ValueError(f"operating point at {time_s:g} s: the flight begins at {begins_s:g} s; {_allowed(run)}")
