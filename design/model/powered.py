@@ -139,7 +139,22 @@ def _powered_flight(scenario: LoadedScenario, faults: bool) -> tuple[tuple[Span,
         loss = loss_of(run.events)
     if loss is not None and 0 <= burnout_ns < loss.time_ns:
         loss = None  # the loss belongs to the coast after burnout
-    return spans_of(run.events, len(run.packed.parameters), run.now_s), loss
+    spans = spans_of(run.events, len(run.packed.parameters), run.now_s)
+    return _as_commanded(run, spans), loss
+
+
+def _as_commanded(run: FlightRun, spans: tuple[Span, ...]) -> tuple[Span, ...]:
+    """Add to `idle_s` the delay of the ignitions that flight code has commanded, relative to those of the scenario."""
+    timelines, late_s = run.packed.parameters["timeline"], 0.0
+    if timelines["sequenced"][0] == 0:
+        return spans
+    lit_s = {max(e.stage - 1, 0): e.time_s for e in run.events if e.name == IGNITION_NAME}
+    out = []
+    for span in spans:
+        if span.stage in lit_s:  # the first burn of this stage; a stage that continues the burn has no ignition
+            late_s = lit_s.pop(span.stage) - 1e-9 * int(timelines["burn_start_ns"][span.stage]) - span.idle_s
+        out.append(dataclasses.replace(span, idle_s=span.idle_s + late_s))
+    return tuple(out)
 
 
 def powered_spans(scenario: LoadedScenario) -> tuple[Span, ...]:
