@@ -147,7 +147,8 @@ def test_code_with_another_law_where_nothing_is_excited_differs_from_its_design(
     assert found.law_share < 0.01 if judgement == "accepted" else found.law_share > 0.1
     short = ["run.duration_s=0.1"]
     fault = "fault=[{kind='gyro-dead',at_s=0.05,axis='pitch'}]"
-    for reference in (short, [*short, fault, *flies(library=code)]):
+    sequenced = flies(library=code, sequencing="flight-code")
+    for reference in (short, [*short, fault, *flies(library=code)], [*short, *sequenced]):
         without = fly_alone(SuiteFlight(name="none"), load_scenario("nominal", reference), "")
         assert len(flight_requirements([without])) == 1
 
