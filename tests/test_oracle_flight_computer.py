@@ -13,6 +13,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import subprocess
 from functools import cache
@@ -28,6 +29,8 @@ from test_oracle_cutoff import CONSTANT, SPACE, THRUST_N, MASS_kg
 
 import maxq
 from maxq import Flight
+from maxq.design.model.node_times import node_times
+from maxq.design.model.powered import flown_run, flown_to, powered_spans
 from maxq.sim.campaign.analysis import DataSet
 from maxq.sim.campaign.investigation import refly
 from maxq.sim.input.errors import ScenarioError
@@ -214,6 +217,39 @@ def test_code_separates_a_fairing_before_the_time_of_the_vehicle_file(tmp_path: 
     early = fly(load_scenario(written(tmp_path, merged(tree, {"vehicle": {"stage": [first, later]}}))))
     assert early.cause == "commanded fairing_separation in stage 1 before the tables of stage 2 begin"
     assert early.end_s == pytest.approx(left_s, abs=1e-9)
+
+
+@needs_compiler
+def test_operating_points_follow_the_commanded_ignitions(tmp_path: Path) -> None:
+    """Two stages with 2 s of thrust: both are lit later than in the vehicle file, and the first one is restarted.
+
+    The spans contain the delay of the propellant tables, which the flight also counts (`Clock.idle_ns`).
+    """
+    step = """
+    out->ignition = in->tick == 49 || in->tick == 149 || in->tick == 399;
+    out->cutoff = in->tick == 99;
+    out->stage_separation = in->tick == 299;
+    """
+    code = {"law": "external", "library": str(library(tmp_path, step)), "sequencing": "flight-code"}
+    thrust = {"time_s": [0.0, 2.0, 2.001], "thrust_vacuum_N": [THRUST_N, THRUST_N, 0.0]}
+    stage = merged(CONSTANT, {"engine": {"table": thrust}})
+    changes: Tree = {
+        "initial": {"euler_deg": [0.0, 0.0, 0.0], "ned_mps": [100.0, 0.0, 0.0]},
+        "vehicle": {"stage": [stage | {"separation_s": 2.5}, stage], "computer": COMPUTER | code},
+        "run": {"duration_s": 7.0},
+    }
+    loaded = load_scenario(written(tmp_path, merged(SPACE, changes)))
+    assert [dataclasses.astuple(span) for span in powered_spans(loaded)] == [
+        (0, *(pytest.approx(t, abs=1e-9) for t in (0.503, 1.003, 0.503))),
+        (0, *(pytest.approx(t, abs=1e-9) for t in (1.503, 3.003, 1.003))),
+        (1, *(pytest.approx(t, abs=1e-9) for t in (4.003, 6.004, 1.503))),
+    ]
+    times_s = node_times(loaded, 2, edges=(0.1, 0.1))
+    assert times_s == pytest.approx((0.553, 0.953, 1.653, 2.853, 4.203, 5.803), abs=1e-9)
+    run = flown_run(loaded, faults=False)
+    for span in powered_spans(loaded):
+        flown_to(run, round(0.5 * (span.begin_s + span.end_s), 2))
+        assert 1e-9 * run.memory.clock.idle_ns == pytest.approx(span.idle_s, abs=2e-9)  # a hold begins 1 ns late
 
 
 @needs_compiler

@@ -17,6 +17,7 @@ import maxq
 from maxq.control.external import FswInputs
 from maxq.control.held_inputs import Superposition, superpose
 from maxq.control.kernel.records import blank
+from maxq.design.certificate.certificate import certify_node
 from maxq.design.certificate.excitation import band, excitation_level
 from maxq.design.certificate.held_flight import CodeDiffers, CodeLost, HeldFlight, hold
 from maxq.design.certificate.in_flight import LINES_HZ, in_flight_response_of_code
@@ -146,7 +147,8 @@ def test_code_with_another_law_where_nothing_is_excited_differs_from_its_design(
     assert found.law_share < 0.01 if judgement == "accepted" else found.law_share > 0.1
     short = ["run.duration_s=0.1"]
     fault = "fault=[{kind='gyro-dead',at_s=0.05,axis='pitch'}]"
-    for reference in (short, [*short, fault, *flies(library=code)]):
+    sequenced = flies(library=code, sequencing="flight-code")
+    for reference in (short, [*short, fault, *flies(library=code)], [*short, *sequenced]):
         without = fly_alone(SuiteFlight(name="none"), load_scenario("nominal", reference), "")
         assert len(flight_requirements([without])) == 1
 
@@ -172,6 +174,9 @@ def test_a_flight_of_the_code_that_ends_before_the_point_is_reported(tmp_path: P
         hold(short, node)
     found = measure_node(short, node, bands=(), names=())
     assert (found.stable, "ends at 21.990 s" in found.ended) == (False, True)
+    designed = load_scenario("nominal", [EARLY, *flies(library=library(tmp_path, tested="1"))])
+    (said,) = certify_node(designed, node).unexplained
+    assert said.startswith("the flight code does not reach the point: node at 40 s")
 
 
 def test_without_deviations_the_inputs_are_those_of_the_flight(tmp_path: Path) -> None:

@@ -173,6 +173,11 @@ WRONG = {
         ["analyse", "nowhere"],
         "nowhere: no such file; allowed: a design file (.toml), or a built-in one",
     ),
+    "unknown design at given points": (
+        ["analyse", "nowhere", "--points", "greensite"],
+        "nowhere: neither a file nor a built-in design; allowed: a design file (.toml), or a built-in design "
+        "(simverify --list names them)",
+    ),
     "empty name": (["analyse", ""], '"": no such file'),
     "empty folder": (["analyse", "."], "the folder has no design.toml"),
     "two designs": (["analyse", "a", "b"], "one DESIGN at a time: what is 'b'?"),

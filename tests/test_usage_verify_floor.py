@@ -178,6 +178,10 @@ def test_every_flight_and_campaign_flies_the_design_that_is_judged(standard: Evi
     at_socket = ("design=", "vehicle.computer.law=external", "vehicle.computer.address=tcp://127.0.0.1:5000")
     external = replace(standard, judged=flight(DESIGN, *at_socket), flights=[flight(DESIGN, *at_socket)])
     assert "flight code at a socket, which no hash covers" in missing_evidence(external)
+    guided = (*at_socket[1:], "vehicle.computer.interface=2", "vehicle.computer.sequencing=flight-code")
+    external = replace(standard, judged=flight(DESIGN, *guided), flights=[flight(DESIGN, *guided)])
+    text = "gimbal angles not compared with the design: the code has its own guidance"
+    assert text in missing_evidence(external)
 
 
 def test_the_flight_of_the_operating_points_has_the_whole_model(standard: Evidence) -> None:

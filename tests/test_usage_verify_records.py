@@ -269,6 +269,15 @@ def test_results_that_are_not_those_of_the_suite_are_found(here: Path, capsys: p
     ]
 
 
+def test_an_honest_pack_of_a_flight_alone_agrees(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its gimbal authority is at times that are chosen from the flight."""
+    Path("suite.toml").write_text(FLIGHT)
+    assert _run(capsys, "ksr3-robust", "--suite", "suite.toml", "--out", "alone")[0] == 0
+    code, said = _run(capsys, "--check", "alone")
+    assert (code, _differs(said)) == (0, [])
+    assert "2 of 2 other results, computed again: " in said
+
+
 def test_a_pack_of_an_earlier_version_fails_the_check(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A pack without results and without a row of all requirements fails; its own version can check it."""
 

@@ -7,13 +7,21 @@ import itertools
 import math
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
 from maxq.design import operating_points
 from maxq.design.certificate import measured_margins, response
 from maxq.design.certificate.excitation import LineBand, below
-from maxq.design.certificate.held_flight import CodeDiffers, HeldFlight, PackedChange, hold, with_ideal_converters
+from maxq.design.certificate.held_flight import (
+    CodeDiffers,
+    CodeLost,
+    HeldFlight,
+    PackedChange,
+    hold,
+    with_ideal_converters,
+)
 from maxq.design.certificate.measured_margins import MARGIN_NAMES, LimitCycle, MarginName, MeasuredMargin, bound_of
 from maxq.design.certificate.response import BANDS, FAULTY, NOISE, UNEXPLAINED, ResponseTable, RingLine
 from maxq.design.loop.loop import loops
@@ -72,7 +80,8 @@ class NodeCertificate:
 
     `stable` is True if the loop at the flown instant is stable. If the held loop is unstable by more than a drift,
     `cycle` describes the end of its flight. `total_gain_db` is the range of the adaptive total gain, downwards and
-    upwards. `differs` is the message of external flight code that fails the replay check, or "".
+    upwards. `differs` is the message of external flight code that fails the replay check or loses control before the
+    operating point, or "".
     """
 
     time_s: float
@@ -162,13 +171,13 @@ def certify_node(
 
     `fault` alters the flights but not the linear model, in order to test that the certificate detects the fault.
     `bands` and `names` select the responses and the margins to be measured. Raises ValueError if the point cannot be
-    held (held_flight.py), and CodeLost if external flight code does not reach it.
+    held (held_flight.py).
     """
     try:
         return _certified(loaded, node, fault, bands, names)
-    except CodeDiffers as error:
-        nothing = response.no_response()
-        return NodeCertificate(node.time_s, node.plane, False, nothing, (), differs=str(error))
+    except (CodeDiffers, CodeLost) as error:
+        said = str(error) if isinstance(error, CodeDiffers) else f"does not reach the point: {error}"
+        return NodeCertificate(node.time_s, node.plane, False, response.no_response(), (), differs=said)
 
 
 def _certified(
@@ -211,9 +220,10 @@ def _certified(
     rows = [row_of(held, name) for name in names]
     open_rows = [k for k, row in enumerate(rows) if row.reason in (UNEXPLAINED, measured_margins.NOT_SETTLED)]
     if open_rows and loaded.scenario.switches.converter == "full":
-        fine = hold(with_ideal_converters(loaded), node, fault, along_body=along_body)
-        for k in open_rows:
-            rows[k] = _with_noise(rows[k], row_of(fine, names[k]))
+        with suppress(CodeLost):  # code that needs the pulses of the gyro is lost without them: nothing is explained
+            fine = hold(with_ideal_converters(loaded), node, fault, along_body=along_body)
+            for k in open_rows:
+                rows[k] = _with_noise(rows[k], row_of(fine, names[k]))
     if drifts is not None:
         rows.append(_drift_row(drifts, of_pade, of_flown))
     rings: tuple[RingLine, ...] = ()

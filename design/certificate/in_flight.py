@@ -31,7 +31,7 @@ from maxq.design.loop.fixed_path import FixedPath, fixed_path
 from maxq.design.loop.loop import Loop, loops
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node, with_swings
-from maxq.design.model.powered import Span, powered_spans, spans_of
+from maxq.design.model.powered import Span, powered_flight, powered_spans, spans_of
 from maxq.design.model.state_space import ComplexArray
 from maxq.sim.flight.telemetry import FAST
 from maxq.sim.packing.flight import pack_flight
@@ -204,8 +204,9 @@ def _of_burn(loaded: LoadedScenario, loops_at: LoopsAt, points: Sequence[Node], 
                 reasons = variation_share(reasons, measured / (-u / e))
         out.append(InFlightResponse(time_s, plane, lines, frozen, measured, error, reasons))
     unexplained = [k for k, found in enumerate(out) if UNEXPLAINED in found.reason]
-    if unexplained and loaded.scenario.switches.converter == "full":
-        again = _by_burn(with_ideal_converters(loaded), loops_at, [times_s[k] for k in unexplained], plane)
+    ideal = with_ideal_converters(loaded)  # code that needs the pulses of the gyro is lost: nothing is explained
+    if unexplained and loaded.scenario.switches.converter == "full" and powered_flight(ideal)[1] is None:
+        again = _by_burn(ideal, loops_at, [times_s[k] for k in unexplained], plane)
         for k, fine in zip(unexplained, again, strict=True):
             out[k] = dataclasses.replace(out[k], reason=converters_share(out[k].reason, fine.reason))
     return out

@@ -320,7 +320,7 @@ def at_same_propellant_s(run: FlightRun, flown: Scenario, node: Node) -> float:
     start_s = start_ns / 1e9 if start_ns < NEVER else node.stage_start_s
     spent_s = table_time_s(flown.vehicle.stage[n], other, node.time_s - node.stage_start_s)
     at_s = start_s + when_spent_s(scenario.vehicle.stage[n], mine, spent_s)
-    if scenario.guidance.restart:
+    if scenario.guidance.restart or run.packed.parameters[n].timeline.sequenced == 1:
         burns = [span for span in powered_spans(run.loaded) if span.stage == n]
         at_s = next((at_s + each.idle_s for each in burns if each.holds(at_s + each.idle_s)), math.inf)
     if not math.isfinite(at_s):

@@ -139,7 +139,22 @@ def _powered_flight(scenario: LoadedScenario, faults: bool) -> tuple[tuple[Span,
         loss = loss_of(run.events)
     if loss is not None and 0 <= burnout_ns < loss.time_ns:
         loss = None  # the loss belongs to the coast after burnout
-    return spans_of(run.events, len(run.packed.parameters), run.now_s), loss
+    spans = spans_of(run.events, len(run.packed.parameters), run.now_s)
+    return _as_commanded(run, spans), loss
+
+
+def _as_commanded(run: FlightRun, spans: tuple[Span, ...]) -> tuple[Span, ...]:
+    """Add to `idle_s` the delay of the ignitions that flight code has commanded, relative to those of the scenario."""
+    timelines, late_s = run.packed.parameters["timeline"], 0.0
+    if timelines["sequenced"][0] == 0:
+        return spans
+    lit_s = {max(e.stage - 1, 0): e.time_s for e in run.events if e.name == IGNITION_NAME}
+    out = []
+    for span in spans:
+        if span.stage in lit_s:  # the first burn of this stage; a stage that continues the burn has no ignition
+            late_s = lit_s.pop(span.stage) - 1e-9 * int(timelines["burn_start_ns"][span.stage]) - span.idle_s
+        out.append(dataclasses.replace(span, idle_s=span.idle_s + late_s))
+    return tuple(out)
 
 
 def powered_spans(scenario: LoadedScenario) -> tuple[Span, ...]:
@@ -198,13 +213,17 @@ def flown_run(scenario: LoadedScenario, faults: bool, log: bool = False) -> Flig
     return _Resumed(_ascent(scenario, faults))
 
 
+def step_at_ns(time_s: float, step_ns: int) -> int:
+    """Return the time (ns) of the integrator's step nearest to a vehicle time, for steps of equal length."""
+    return round(time_s * 1e9 / step_ns) * step_ns
+
+
 def flown_to(run: FlightRun, time_s: float) -> int:
     """Continue the flight to the integrator's step nearest to a vehicle time, and return the time of that step in ns.
 
     Raises ValueError if no engine burns at that time, and after the loss of the flight.
     """
-    step_ns = int(run.packed.parameters[0].timeline.step_ns)
-    at_ns = round(time_s * 1e9 / step_ns) * step_ns
+    at_ns = step_at_ns(time_s, int(run.packed.parameters[0].timeline.step_ns))
     begins_s = run.now_s
     if at_ns < round(begins_s * 1e9):
         raise ValueError(f"operating point at {time_s:g} s: the flight begins at {begins_s:g} s; {_allowed(run)}")

@@ -127,6 +127,8 @@ def _control(e: Evidence) -> Iterator[str]:
             yield f"{campaign_title(campaign.name)}: another design or flight code than the judged one"
     if any(c.law == "external" and c.address for c in computers_of(e.judged)):
         yield "flight code at a socket, which no hash covers"
+    if e.linear and any(c.sequences for c in computers_of(e.judged)):
+        yield "gimbal angles not compared with the design: the code has its own guidance"
 
 
 def computers_of(scenario: Scenario) -> list[ComputerSection]:

@@ -171,10 +171,13 @@ def _histories(flight: Flight) -> tuple[Array, dict[str, Array]]:
 def _by_design(scenario: Scenario) -> Scenario | None:
     """Return a scenario with the law of its design in place of flight code, or None without code or design.
 
-    The result is also None for a scenario with faults, since code may change its law when it detects a fault.
+    The result is also None for a scenario with faults, since code may change its law when it detects a fault. Code that
+    commands the sequence has its own guidance, so that its commands cannot be compared either.
     """
     computer = scenario.vehicle.computer
     if scenario.design is None or scenario.fault or computer is None or computer.law != "external":
+        return None
+    if computer.sequences:
         return None
     law = computer.model_copy(update={"law": "design", "library": None, "python": None, "address": None})
     return scenario.model_copy(update={"vehicle": scenario.vehicle.model_copy(update={"computer": law})})

@@ -22,7 +22,7 @@ from maxq.design.loop.loop import law_at
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
 from maxq.design.model.node_times import MEASURED_EDGES, node_times
-from maxq.design.model.powered import by_burn, powered_spans
+from maxq.design.model.powered import by_burn, powered_spans, step_at_ns
 from maxq.design.model.state_space import ComplexArray
 from maxq.design.verify import linear
 from maxq.design.verify.described import DescribedVehicles
@@ -33,6 +33,7 @@ from maxq.design.verify.suite import CERTIFICATE, WORST, CertificateWanted, Line
 from maxq.design.verify.uncovered import Uncovered, uncovered
 from maxq.design.verify.worst import WorstVehicle, measure_worst, search_plane
 from maxq.sim.campaign.read import LoadedCampaign, description_of
+from maxq.sim.input.values import to_ns
 from maxq.sim.scenario.loader import LoadedScenario, told
 from maxq.sim.scenario.schema_design import Design
 
@@ -261,11 +262,16 @@ class Parts:
         )
 
     def authority_times_s(self) -> list[float]:
-        """Return times at intervals of 1 s between the first and the last operating point of each burn."""
+        """Return times at intervals of 1 s between the first and the last operating point of each burn.
+
+        They are those of the integrator's steps, at which operating points are.
+        """
+        step_ns = to_ns(self.along.scenario.run.step_s)
         named = self.points_s(self.suite.margins, self.suite.certificate).values() or [node_times(self.along)]
         times: list[float] = []
         for mine in by_burn(self.along, itertools.chain.from_iterable(named)):
-            times += [t for t in np.arange(mine[0], mine[-1] + 0.5, 1.0).tolist() if t <= mine[-1]]
+            wanted = [t for t in np.arange(mine[0], mine[-1] + 0.5, 1.0).tolist() if t <= mine[-1]]
+            times += [step_at_ns(t, step_ns) / 1e9 for t in wanted]
         return times
 
     def authority(self) -> list[linear.Authority]:

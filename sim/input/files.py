@@ -65,6 +65,7 @@ _LISTED_ALONE = ("case", "suite", "layout", "points")
 
 _LISTED_BY = {
     "scenario": "simrun",
+    "design": "simverify",
     "case": "simdesign",
     "suite": "simverify",
     "layout": "simvehicle",
