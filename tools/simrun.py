@@ -267,7 +267,7 @@ def _add_export(parser: Parser) -> None:
     export = parser.command("export", about, examples, _export)
     export.option(
         "LOG|SCENARIO",
-        "log (.mcap) or its folder; folder of a campaign for its drop zones; for --fmu a scenario (.toml, or built-in)",
+        "log (.mcap) or its folder; folder of a campaign for its drop zones; for --fmu a scenario (file or name)",
         dest="place",
     )
     flight = [f"--{kind}" for kind in _FLIGHT_FILES]

@@ -37,8 +37,8 @@ class LoopValues:
     """The open loop L at an operating point, as the argument of a function of a goal.
 
     `re` and `im` are the parts of L at `frequency_hz`, (points,). They are complex in a complex step. A function may
-    therefore use analytic operations (+, *, /, sqrt, log, arctan2 by `phase_rad`), and max, min or an index to select
-    points, but neither abs nor conjugates. The properties of this class comply.
+    therefore use analytic operations (sums, products, quotients, roots, logarithms, `phase_rad`), and max, min or an
+    index to select points, but neither abs nor conjugates. The properties of this class comply.
     """
 
     time_s: float
@@ -48,17 +48,17 @@ class LoopValues:
 
     @property
     def gain_db(self) -> Any:
-        """Return |L|, dB."""
+        """Return the magnitude of L, dB."""
         return 0.5 * DB * np.log(self.re**2 + self.im**2)
 
     @property
     def sensitivity_db(self) -> Any:
-        """Return |S| = 1 / |1 + L|, dB."""
+        """Return the magnitude of S = 1 / (1 + L), dB."""
         return -0.5 * DB * np.log((1.0 + self.re) ** 2 + self.im**2)
 
     @property
     def closed_db(self) -> Any:
-        """Return |T| = |L| |S|, dB."""
+        """Return the magnitude of T = L S, dB."""
         return self.gain_db + self.sensitivity_db
 
     @property
