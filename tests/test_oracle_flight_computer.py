@@ -14,6 +14,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import subprocess
 from functools import cache
@@ -38,7 +39,7 @@ from maxq.sim.run.fly import fly
 from maxq.sim.run.instances import Inputs, Outputs, size_of
 from maxq.sim.run.sandbox import sandbox_problem
 from maxq.sim.scenario.loader import load_scenario
-from maxq.tools import simrun
+from maxq.tools import simrun, simverify
 from maxq.tools.design.export import export_c
 
 VERSION_1 = Path(__file__).parent / "data" / "maxq_fsw_version_1.h"
@@ -626,3 +627,68 @@ source = "assumed"
     assert np.abs(errors_m).max() < 500.0
     assert len(set(errors_m)) == 3
     assert refly(out, 1, log=False).same
+
+
+VERIFIED = """
+schema = 2
+scenario = "scenario.toml"
+[margins]
+times_s = [20.0, 126.0]
+planes = ["pitch"]
+cases = 0
+corner_sigmas = 0.0
+between_nodes = "ignore"
+[margins.nominal]
+gain_up_db = 3.0
+[certificate]
+times_s = [20.0]
+planes = ["pitch"]
+in_flight = false
+[[flight]]
+name = "ignition"
+set = ["run.duration_s=5.0"]
+[[campaign]]
+file = "campaign.toml"
+runs = 2
+set = ["run.duration_s=2.0", "campaign.keep=[]"]
+"""
+CAMPAIGN = """
+schema = 1
+extends = "scenario.toml"
+[campaign]
+runs = 2
+[[disperse]]
+name = "thrust"
+keys = ["vehicle.stage.0.engine.0.mass_flow_factor"]
+apply = "scale"
+distribution = "normal"
+three_sigma = 0.03
+source = "assumed"
+"""
+
+
+@pytest.mark.long
+@needs_compiler
+def test_code_that_commands_the_sequence_is_verified(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Margins of both stages, certificate, flight, campaign and a pack that agrees; the certificate has the margins."""
+    code = flies(library=flight_computer(), sequencing="flight-code", timeout_s=60.0)
+    given = [ORBIT, *code, *RECEIVERS, "run.duration_s=130"]
+    (tmp_path / "scenario.toml").write_text(load_scenario(folder() / "scenario.toml", given).as_flown)
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
+    (tmp_path / "suite.toml").write_text(VERIFIED)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MAXQ_LEDGER", str(tmp_path / "ledger"))
+    monkeypatch.setattr("maxq.design.verify.memory.default_folder", lambda: tmp_path / "memory")
+    simverify.main([str(folder() / "design.toml"), "--suite", "suite.toml", "--out", "pack"])
+    verdict = json.loads((tmp_path / "pack" / "verdict.json").read_text())
+    found = {r["name"]: r["verdict"] for r in verdict["requirements"]}
+    assert found["stable at every operating point, stage 2 (second)"] == found["ignition"] == "accepted"
+    (point,) = verdict["certificate"]
+    margins = [row for row in point["margins"] if row["what"] in ("gain_up", "gain_down")]
+    assert [row["measured"] for row in margins] == pytest.approx([row["held"] for row in margins], abs=0.2)
+    assert verdict["campaigns"][0]["runs"] == 2
+    capsys.readouterr()
+    assert simverify.main(["--check", "pack", "--sample", "0"]) == 0
+    assert "DIFFERS" not in capsys.readouterr().out
