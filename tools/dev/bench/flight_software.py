@@ -90,7 +90,8 @@ def built(folder: Path, *changes: str) -> list[str]:
 
 def campaign_rates(kinds: dict[str, list[str]], batches: int) -> dict[str, list[float]]:
     """Return the runs per second of CPU time of each kind, in batches that alternate between the kinds."""
-    campaigns, rates = {}, {kind: [] for kind in kinds}
+    rates: dict[str, list[float]] = {kind: [] for kind in kinds}
+    campaigns = {}
     for kind, own in kinds.items():
         campaigns[kind] = load_campaign("campaigns/ksr3", ["campaign.keep=[]", *own]).with_campaign(runs=BATCH)
         load_kernels(campaigns[kind])
