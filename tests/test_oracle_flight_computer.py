@@ -518,7 +518,7 @@ def _compile(out: Path) -> None:
     compiled(out, EXAMPLES / "orbit" / "flight_computer.c", "flight_computer", *flags)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs_compiler
 def test_the_flight_computer_behind_a_socket_flies_the_same_bits(tmp_path: Path) -> None:
     """Link it with computer.c, and fly the first stage in lock-step."""
@@ -586,7 +586,7 @@ NOISY_GNSS = [
 NOISY = [*NOISY_GNSS, *(f"vehicle.stage.{n}.accelerometer.bias_mps2=[0.01,-0.005,0.005]" for n in range(3))]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs_compiler
 def test_gnss_errors_outage_and_false_positions_leave_an_orbit() -> None:
     """Fly with noise and accelerometer bias, 60 s without GNSS, and 20 s of positions that are 3 km off."""
@@ -602,7 +602,7 @@ def test_gnss_errors_outage_and_false_positions_leave_an_orbit() -> None:
     assert abs(blind.metrics["cutoff_apogee_error_m"]) > 5000.0  # of the accelerometer's bias
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs_compiler
 def test_dispersed_flights_with_the_flight_computer_reach_the_orbit(tmp_path: Path) -> None:
     """Disperse thrust, wind and the accelerometer's bias, and fly a run again to the same bits."""
