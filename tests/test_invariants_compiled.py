@@ -36,7 +36,7 @@ def _fly(disable_jit: str) -> str:
     return done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_flight_without_compiler_is_the_same_to_the_bit() -> None:
     plain, compiled = _fly("1"), _fly("0")
     assert plain.startswith("100 ")

@@ -220,7 +220,7 @@ def test_first_gains_are_below_bending_and_slosh(built: Built, tmp_path: Path) -
     assert [s.pole_hz / s.zero_hz for s in design.of_stage(0).filter.quadratic] == pytest.approx([0.8, 0.8])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_gimballed_boosters_steer_with_the_core(tmp_path: Path) -> None:
     """The angular acceleration per command is that of the flown vehicle at 20 s; each group has its own actuator."""
     layout = read_layout(HERON)

@@ -122,7 +122,7 @@ def test_python_code_that_watches_the_clock_shows_the_gain_that_it_flies(tmp_pat
     assert gain_of(f"{tmp_path / 'law.py'}:Autopilot", "python") == pytest.approx(GAIN, rel=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_margin_of_code_that_watches_the_clock_is_rejected(tmp_path: Path) -> None:
     """The linear loop has 6.33 dB; 1.8 times the gain reduces it by 5.11 dB, and the code is rejected."""
     node = maxq.nodes("nominal", [NODE_S])[0]

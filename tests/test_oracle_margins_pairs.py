@@ -134,7 +134,7 @@ def dense(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
     return f, np.concatenate(parts) + s.d[0, 0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_sign_change_between_dense_points_is_missed_and_none_is_nearer():
     for seed in range(6):
         loop = random_loop(seed)

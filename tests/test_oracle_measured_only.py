@@ -52,6 +52,7 @@ def test_margins_and_response_are_those_of_the_linear_loop(library: Path) -> Non
     assert {c.kind for c in found.cycles} <= {"decays", "limit cycle"}
 
 
+@pytest.mark.long
 def test_a_limit_cycle_of_the_converter_is_no_growth(library: Path) -> None:
     """A limit cycle is not reported as growth: at 30 s a gyro pulse moves the gimbal after half a minute of rest.
 
@@ -68,6 +69,7 @@ def test_a_limit_cycle_of_the_converter_is_no_growth(library: Path) -> None:
     assert _rounding_deg(hold(quiet, node), path, 7.0) == 0.0
 
 
+@pytest.mark.long
 def test_a_planted_delay_is_lost_delay_margin(library: Path) -> None:
     def late(packed: Packed) -> None:
         packed.parameters[0].computer.delay_ns += 5_000_000

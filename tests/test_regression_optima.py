@@ -127,7 +127,11 @@ def test_descriptions_state_the_recorded_objective(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.long if n == "ksr3-load-relief" else pytest.mark.slow) for n in AGAIN]
+    "name",
+    [
+        pytest.param(n, marks=pytest.mark.long if n in ("ksr3-load-relief", "greensite") else pytest.mark.slow)
+        for n in AGAIN
+    ],
 )
 def test_a_case_optimised_again_reaches_the_value_of_its_file(name: str) -> None:
     found = maxq.optimise(*AGAIN[name])

@@ -260,7 +260,7 @@ def test_a_shipped_design_has_the_line_that_makes_it_or_states_its_source() -> N
     assert sourced == {name for name in builtin_files("design") if not again(name)} == GIVEN
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_given_robust_design_meets_the_dispersed_limits_of_its_case(capsys: Printed) -> None:
     """The design meets them at 50 s, which has the least gain margin of the eleven points."""
     asked = read_case("ksr3-robust").case.robust

@@ -65,7 +65,7 @@ def test_margins_of_the_shipped_design_of_petrel_are_those_of_other_equations() 
     assert compare(petrel.folder(), builtin_files("design")["petrel-robust"], every=3) > 6.45
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_stage_after_an_unstable_coast_is_measured_in_flight() -> None:
     """The stub's upper stage coasts for three seconds, in which a disturbance grows 262 times.
 

@@ -72,7 +72,7 @@ def _run(*arguments: str) -> int:
         return int(str(end.code))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("_design_once")
 def test_second_candidate_is_accepted_when_the_first_fails(capsys: Printed) -> None:
     """The relaxed case has the lower peak of mode 1 and is first; its lower gain margin is 9.4 dB, and it fails."""

@@ -51,7 +51,7 @@ def test_a_part_alone_keeps_the_limits_and_names_what_is_left_out() -> None:
     assert "wind that can be trimmed" in read_suite("standard", ["wind_limit_mps=9.0"]).only("worst").left_out
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs_compiler
 def test_the_certificate_of_flight_code_alone_is_judged_by_the_limits(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
