@@ -38,7 +38,7 @@ def packed_on(processor: dict[str, str]) -> str:
     return subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_packing_is_the_same_to_the_bit_on_every_processor() -> None:
     here, newer, older = (packed_on(processor) for processor in PROCESSORS.values())
     assert len(here.splitlines()) > 60

@@ -58,7 +58,7 @@ def test_encirclements_of_sampled_loops(loop):
     assert (m.encircled_poles, m.unstable_poles) == (count, count)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])  # few are stable
 @given(sampled_loops())
 def test_gain_margins_of_sampled_loops(loop):

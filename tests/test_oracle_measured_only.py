@@ -34,6 +34,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return compiled(tmp_path_factory.mktemp("law"), EXAMPLES / "pd_law.c", "pd_law")
 
 
+@pytest.mark.long
 def test_margins_and_response_are_those_of_the_linear_loop(library: Path) -> None:
     loaded, known = load_scenario("nominal", ["design=", *flies(library=library)]), load_scenario("nominal")
     node = maxq.nodes("nominal", [NODE_S])[0]

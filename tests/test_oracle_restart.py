@@ -446,7 +446,7 @@ def test_the_loop_of_a_second_burn_is_measured_in_flight(delay_s: float) -> None
     assert certificate.unexplained == ()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_design_holds_its_limits_in_each_burn(tmp_path: Path) -> None:
     """Gains over mass from one burn to the next; no limit is evaluated in the coast, where no engine burns."""
     text = "\n".join(f"{key} = {toml(value)}" for key, value in AGAIN.items())

@@ -442,7 +442,7 @@ def _built_with(path: Path, override: str):
     return build(load_file(Layout, "layout", path, [override])[0])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @known_path()
 def test_the_vehicle_flies_the_point_mass_s_path_to_orbit(tmp_path: Path, built) -> None:
     """In six degrees of freedom, each burnout altitude is within 2 % of the point mass, and the perigee is 250 km."""

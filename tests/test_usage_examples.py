@@ -30,7 +30,7 @@ def tried(folder: Path, examples: str | None) -> str:
     return (folder / "tried.txt").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_examples_are_new_only_on_request(tmp_path: Path) -> None:
     usual, same, *new = (tried(tmp_path, examples) for examples in (None, "same", "random", "random"))
     assert len(usual.splitlines()) >= 100

@@ -36,7 +36,7 @@ def test_more_freedom_is_never_worse() -> None:
     assert peaks[-1] < peaks[0] - 10.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_filter_of_higher_order_can_be_the_same() -> None:
     s = kit.solution("filter.structure=F2", "gains.schedule=linear")
     (second,) = kit.designed(s).filter.filters

@@ -130,7 +130,7 @@ def _shows_curves(client, view_id: str) -> bool:
         return False  # a view behind another tab has no picture
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_several_flights_in_one_window(flight, tmp_path: Path) -> None:
     import dataclasses  # noqa: PLC0415  # only here
 

@@ -406,7 +406,7 @@ def test_what_cannot_be_read_has_an_exit_code_of_its_own(
     assert said in text
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="no ssh-keygen")
 def test_packs_are_signed_and_their_signers_checked(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("key", "other"):

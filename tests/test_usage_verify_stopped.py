@@ -50,7 +50,7 @@ def stored(folder: Path) -> dict[str, tuple[int, bytes]]:
     return {f.name: (f.stat().st_mtime_ns, f.read_bytes()) for f in (folder / "memory").glob("*.json")}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_signal_ends_a_search_that_does_not_return(tmp_path: Path) -> None:
     (tmp_path / "suite.toml").write_text(SUITE)
     before: dict[str, tuple[int, bytes]] = {}
