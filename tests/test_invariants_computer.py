@@ -84,7 +84,7 @@ def noise(seed: int = 1, samples: int = 400) -> Array:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("k", [1, 50, 399])
+@pytest.mark.parametrize("k", [pytest.param(1, marks=pytest.mark.long), 50, 399])
 def test_a_command_depends_on_no_later_increment(k: int) -> None:
     first, second = noise(1), noise(2)
     second[:k] = first[:k]

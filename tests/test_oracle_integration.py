@@ -225,7 +225,7 @@ print(json.dumps([found, int(run.memory.clock.steps)]))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("actuator", "drives"), [("full", 2), ("ideal", 0)])
+@pytest.mark.parametrize(("actuator", "drives"), [pytest.param("full", 2, marks=pytest.mark.long), ("ideal", 0)])
 def test_each_length_of_step_has_its_matrices_once_and_for_all_that_swings(actuator: str, drives: int) -> None:
     """Each step length has its matrices once, also after those of the modes are renewed.
 

@@ -60,7 +60,10 @@ def test_sixty_optima_of_which_more_freedom_is_never_worse() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["ksr3-free", "ksr3-linear", "ksr3-robust", "ksr3-sampled", "ksr3-two-phase"])
+@pytest.mark.parametrize(
+    "name",
+    ["ksr3-free", pytest.param("ksr3-linear", marks=pytest.mark.long), "ksr3-robust", "ksr3-sampled", "ksr3-two-phase"],
+)
 def test_shipped_designs_meet_what_they_state(name: str) -> None:
     """The limits hold by code that the optimiser does not use, on the loop of the case along the present flight."""
     design = maxq.load_design(f"designs/{name}")

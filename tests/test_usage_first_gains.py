@@ -32,8 +32,8 @@ def fastest_growth_1ps(folder: Path, count: int = 37) -> float:
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "code"), [pytest.param("heavy", 0, marks=pytest.mark.long), ("student", 1)])
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "code"), [("heavy", 0), ("student", 1)])
 def test_first_gains_that_do_not_hold_their_flight_are_replaced(
     name: str, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

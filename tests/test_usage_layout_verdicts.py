@@ -51,8 +51,8 @@ def compare(folder: Path, design: Path, every: int = 1) -> float:
     return float(least)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["stub", pytest.param("tower", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["stub", "tower"])
 def test_margins_of_first_gains_are_those_of_other_equations(name: str) -> None:
     """The stub's upper stage has no bending modes; the tower is flexible, and its first gains lose control."""
     folder = layoutkit.folder(name)
