@@ -156,7 +156,7 @@ def test_a_zone_across_the_antimeridian_is_in_one_piece(data: DataSet) -> None:
         void=np.zeros(5, bool),
         runs=np.arange(5),
     )
-    (zone,) = drop_zones(crossing)  # type: ignore[arg-type]
+    (zone,) = drop_zones(crossing)  # type: ignore[arg-type]  # a stand-in for DataSet
     assert abs(zone.longitude_deg) == pytest.approx(180.0, abs=1e-9)
     assert zone.runs.tolist() == [0, 1, 2, 3]
     east, north = radii_m(6378137.0, 1.0 / 298.257223563, math.radians(60.0))

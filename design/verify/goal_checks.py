@@ -14,10 +14,10 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.design.case.goals import TRANSFERS, GoalSection
-from maxq.design.laws.law import ANGLES
 from maxq.design.laws.task import DB
 from maxq.design.loop.loop import Loop
 from maxq.design.loop.own_part import NEAREST_NYQUIST
+from maxq.design.loop.time_response import Stepped, step_response
 from maxq.design.margins.measured_loop import LoopAtPoint
 from maxq.design.margins.solving import vertex
 from maxq.design.quantities import STEPS, Convention
@@ -64,45 +64,25 @@ def over_template_db(loop: Loop, goal: GoalSection) -> float:
     return best
 
 
-def step_responses(loop: Loop, until_s: float) -> dict[str, Array]:
-    """Return the samples (count,) of attitude and gimbal command after a unit step, by simulation of the closed loop.
+_OF_STEP: dict[str, tuple[Stepped, str, Callable[[Array], Array]]] = {
+    "overshoot_pct": ("attitude", "attitude_rad", lambda y: 100.0 * (y - 1.0)),
+    "settling_pct": ("attitude", "attitude_rad", lambda y: 100.0 * np.abs(y - 1.0)),
+    "gimbal_peak": ("attitude", "gimbal_rad", np.abs),
+    "offset_peak": ("gimbal", "attitude_rad", np.abs),
+}
+"""The step, the output, and the measure of each quantity of a step response."""
 
-    `attitude` and `gimbal` follow a step of the commanded attitude, and `offset` is the attitude after a step of the
-    gimbal offset. Raises ValueError for a continuous loop.
+
+def step_samples(loop: Loop, goal: GoalSection) -> Array:
+    """Return the measure of a step response at each sample until `goal.until_s`, (n,).
+
+    Raises ValueError for a continuous loop.
     """
     if loop.sample_s is None:
         raise ValueError("a step response needs the sampled loop: allowed is the kind sampled")
-    inputs = loop.law.inputs
-    measured = (*inputs, *(() if ANGLES[0] in inputs else ANGLES[:1]))
-    path, law = loop.fixed.measured(measured), loop.law.state_space()
-    count, n = math.ceil(until_s / loop.sample_s - 1e-9) + 1, len(path.a)
-    angle = measured.index(ANGLES[0])
-    out: dict[str, list[float]] = {"attitude": [], "gimbal": [], "offset": []}
-    for commanded, offset in ((1.0, 0.0), (0.0, 1.0)):
-        x, held, summed = np.zeros(n), np.zeros(len(law.a)), 0.0
-        for _ in range(count):
-            y = path.c @ x  # the path has no direct feedthrough
-            summed += commanded * loop.sample_s
-            error = y[: len(inputs)].copy()
-            for k, name in enumerate(inputs):
-                error[k] -= {ANGLES[0]: commanded, ANGLES[1]: summed}.get(name, 0.0)
-            command = -float((law.c @ held + law.d @ error)[0])
-            held = law.a @ held + law.b @ error
-            x = path.a @ x + path.b[:, 0] * (command + offset)
-            if commanded:
-                out["attitude"].append(float(y[angle]))
-                out["gimbal"].append(command)
-            else:
-                out["offset"].append(float(y[angle]))
-    return {name: np.array(values) for name, values in out.items()}
-
-
-_OF_STEP: dict[str, tuple[str, Callable[[Array], Array]]] = {
-    "overshoot_pct": ("attitude", lambda y: 100.0 * (y - 1.0)),
-    "settling_pct": ("attitude", lambda y: 100.0 * np.abs(y - 1.0)),
-    "gimbal_peak": ("gimbal", np.abs),
-    "offset_peak": ("offset", np.abs),
-}
+    stepped, output, measure = _OF_STEP[goal.quantity]
+    duration_s = math.ceil(goal.until_s / loop.sample_s - 1e-9) * loop.sample_s
+    return measure(getattr(step_response(loop, stepped, duration_s), output))
 
 
 def goal_value(one: LoopAtPoint, goal: GoalSection) -> float:
@@ -113,8 +93,7 @@ def goal_value(one: LoopAtPoint, goal: GoalSection) -> float:
     if goal.quantity in TRANSFERS:
         return over_template_db(loop, goal)
     if goal.quantity in STEPS:
-        response, measure = _OF_STEP[goal.quantity]
-        samples = measure(step_responses(loop, goal.until_s)[response])
+        samples = step_samples(loop, goal)
         return float(samples[math.ceil((goal.after_s or 0.0) / (loop.sample_s or 1.0) - 1e-9) :].max())
     if goal.quantity == "function":
         top = min(goal.band_hz[1], NEAREST_NYQUIST * loop.highest_hz)

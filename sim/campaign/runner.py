@@ -53,7 +53,7 @@ Gap = tuple[int, int]
 
 
 Count = tuple[int, float]
-"""Of some runs and a requirement: the number that misses it, and the worst value of its metric (nan: none)."""
+"""The number of misses of a requirement in a set of runs, and the worst value of its metric there (nan: none)."""
 
 
 @dataclass
