@@ -64,7 +64,14 @@ class OwnKernels:
             self._compiled, self._ready = True, self._are_stored()
         return pack_for_one_vehicle(scenario) if self._ready else pack_flight(scenario)
 
+    def __enter__(self) -> OwnKernels:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
     def end(self) -> None:
+        """Stop the compilation, if there is one."""
         if self._compiler is not None:
             self._compiler.kill()
             self._compiler.wait()
