@@ -15,7 +15,8 @@ import time
 from pathlib import Path
 
 import maxq
-from maxq.sim.campaign.runner import load_kernels, run_campaign
+from maxq.sim.campaign.own_kernels import load_kernels
+from maxq.sim.campaign.runner import run_campaign
 
 
 def main(file: str, folder: str, kills: int, seed: int, longest_s: float) -> int:

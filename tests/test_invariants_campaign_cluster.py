@@ -32,7 +32,7 @@ def test_batches_leave_no_thread_without_one(threads: int, runs: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("runs", "parts"), [pytest.param(96, 3, marks=pytest.mark.slow), pytest.param(300, 5, marks=pytest.mark.long)]
+    ("runs", "parts"), [pytest.param(48, 2, marks=pytest.mark.slow), pytest.param(300, 5, marks=pytest.mark.long)]
 )
 def test_workers_that_come_and_go(tmp_path: Path, runs: int, parts: int) -> None:
     whole = campaignkit.small(tmp_path, runs=runs)

@@ -3,6 +3,7 @@
 import ast
 import dataclasses
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -17,7 +18,7 @@ from maxq import FlightRun
 from maxq.control.kernel import kept_code
 from maxq.control.kernel.jit import from_python
 from maxq.control.kernel.records import constants_in, pack, with_constants
-from maxq.sim.campaign import runs
+from maxq.sim.campaign import own_kernels
 from maxq.sim.campaign.runs import fly_rows
 from maxq.sim.packing.flight import pack_flight, pack_for_one_vehicle
 from maxq.sim.scenario.loader import load_scenario
@@ -33,13 +34,9 @@ def campaign():
 
 
 @pytest.mark.long
-def test_a_campaign_worth_it_flies_the_same_bits(campaign, monkeypatch):
-    assert runs.packer(campaign.with_campaign(runs=runs.OWN_KERNELS_FROM)) is pack_for_one_vehicle
-    few = campaign.with_campaign(runs=runs.OWN_KERNELS_FROM - 1)
-    assert runs.packer(few) is pack_flight
-    common = fly_rows(few, [(few.plan.draw(0, 3), run) for run in range(3)])
-    monkeypatch.setattr(runs, "OWN_KERNELS_FROM", 1)
-    own = fly_rows(few, [(few.plan.draw(0, 3), run) for run in range(3)])
+def test_a_campaign_flies_the_same_bits(campaign):
+    orders = [(campaign.plan.draw(0, 3), run) for run in range(3)]
+    common, own = (fly_rows(campaign, orders, pack=pack) for pack in (pack_flight, pack_for_one_vehicle))
     assert {row.outcome for row in common} == {"duration"}
     assert [row.state_hash for row in own] == [row.state_hash for row in common]
     assert list(map(repr, own)) == list(map(repr, common))  # repr: nan is nan, and digits are all there
@@ -55,6 +52,60 @@ def test_every_log_row_is_the_same(campaign):
         for group in rows:
             for common_part, own_part in zip(rows[group], own[group], strict=True):
                 assert np.array_equal(common_part, own_part, equal_nan=True)
+
+
+ENDS, CONTINUES = "import sys; sys.stdin.readline()", "import sys; sys.stdin.read()"
+
+
+@pytest.mark.parametrize(
+    ("runs", "program", "stored", "packings"),
+    [
+        (499, ENDS, [True], [False, False]),
+        (500, ENDS, [False, True], [False, True]),
+        (500, CONTINUES, [False, True], [False, False]),
+        (500, ENDS, [False, False], [False, False]),  # the compilation failed
+        (500, CONTINUES, [True], [True, True]),
+    ],
+)
+def test_a_campaign_uses_kernels_of_its_vehicle_once_they_are_stored(
+    campaign, monkeypatch, runs, program, stored, packings
+):
+    """A campaign that justifies its own kernels flies with the common ones until another process has stored them."""
+    monkeypatch.setattr(own_kernels, "_PROGRAM", program)
+    answers = iter(stored)
+    monkeypatch.setattr(FlightRun, "finds_kernels", lambda run, own: next(answers))
+    kernels = own_kernels.OwnKernels(campaign.with_campaign(runs=runs))
+    compiler = kernels._compiler
+    scenario, found = campaign.base.scenario, list[bool]()
+    assert (compiler is None) == (runs < 500 or stored[0])
+    for _ in packings:
+        packed = kernels.pack(scenario)
+        found.append(bool(constants_in(packed.parameters.dtype["vehicle"]["sizes"].names)))
+        if compiler is not None and program is ENDS:
+            compiler.wait()
+    kernels.end()
+    assert found == packings
+    assert compiler is None or compiler.poll() == (0 if program is ENDS else -signal.SIGKILL)
+
+
+@pytest.mark.long
+def test_another_process_compiles_and_stores(campaign, monkeypatch):
+    """The first flights use the common kernels, the later ones those of the vehicle, and all rows are the same."""
+    used = list[bool]()
+
+    def packed(scenario):
+        used.append(True)
+        return pack_for_one_vehicle(scenario)
+
+    common = fly_rows(campaign, [(campaign.plan.draw(0, 1), 0)])
+    kernels = own_kernels.OwnKernels(campaign.with_campaign(runs=500))
+    if kernels._compiler is not None:
+        assert kernels._compiler.wait() == 0
+    monkeypatch.setattr(own_kernels, "pack_for_one_vehicle", packed)
+    own = fly_rows(campaign, [(campaign.plan.draw(0, 1), 0)], pack=kernels.pack)
+    kernels.end()
+    assert used == [True]
+    assert list(map(repr, own)) == list(map(repr, common))
 
 
 def test_the_type_tells_the_sizes():

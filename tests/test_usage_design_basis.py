@@ -172,7 +172,11 @@ def test_limits_that_hold_between_operating_points_are_judged_there(capsys: Prin
 
 
 @pytest.mark.slow
-def test_a_shipped_robust_design_is_judged_by_all_of_its_limits() -> None:
+@pytest.mark.parametrize(
+    ("stage", "time_s"),
+    [pytest.param(0, 54.0, marks=pytest.mark.long), (1, 138.0), pytest.param(2, 315.0, marks=pytest.mark.long)],
+)
+def test_a_shipped_robust_design_is_judged_by_all_of_its_limits(stage: int, time_s: float) -> None:
     design = petrel.scenario("design='designs/petrel-robust.toml'").design
     assert design is not None
     bases = bases_of(petrel.scenario(), design, "petrel-robust.toml")
@@ -188,15 +192,14 @@ def test_a_shipped_robust_design_is_judged_by_all_of_its_limits() -> None:
         "rigid_zeta": 0.5,
         "filter_gain_at_infinity": 1.0,
     }
-    for stage, time_s in enumerate((54.0, 138.0, 315.0)):
-        basis = bases[stage]
-        assert (basis.loop, basis.limits.rigid_body, basis.scenario) == ("sampled", "aerodynamic", "petrel")
-        assert basis.robust is not None
-        assert (basis.robust.corner_sigmas, basis.robust.bending_damping) == (2.0, (0.0, 0.5))
-        assert (basis.robust.limits.gain_margin_db, basis.robust.limits.phase_margin_deg) == (3.0, 15.0)
-        judged = judge(petrel.nodes(time_s), design, basis.loop)
-        found = stage_checks(judged, design, basis, "sampled")
-        assert {check.key: check.limit for check in found} == expected
+    basis = bases[stage]
+    assert (basis.loop, basis.limits.rigid_body, basis.scenario) == ("sampled", "aerodynamic", "petrel")
+    assert basis.robust is not None
+    assert (basis.robust.corner_sigmas, basis.robust.bending_damping) == (2.0, (0.0, 0.5))
+    assert (basis.robust.limits.gain_margin_db, basis.robust.limits.phase_margin_deg) == (3.0, 15.0)
+    judged = judge(petrel.nodes(time_s), design, basis.loop)
+    found = stage_checks(judged, design, basis, "sampled")
+    assert {check.key: check.limit for check in found} == expected
 
 
 @pytest.mark.long

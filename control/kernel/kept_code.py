@@ -18,7 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import llvmlite.binding
+from numba import typeof
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 
 from maxq.control.kernel import progress
@@ -172,6 +174,11 @@ class EntryCache(FunctionCache):  # type: ignore[misc]  # Numba has no types
     def __init__(self, function: Any) -> None:
         super().__init__(function)
         self._cache_file.__class__ = _CheckedFile
+
+    def holds(self, *arguments: Any) -> bool:
+        """Return True if machine code for a call with these arguments is stored."""
+        key = self._index_key(tuple(map(typeof, arguments)), cpu_target.target_context.codegen())
+        return key in self._cache_file._load_index()
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Load machine code from disk, without Numba's NumPy functions, which would import SciPy's linear algebra.

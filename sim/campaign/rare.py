@@ -29,6 +29,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from maxq.control.kernel.records import Array, IntArray
+from maxq.sim.campaign.own_kernels import OwnKernels
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.runs import VOID, fly_rows
 from maxq.sim.campaign.schema import Envelope
@@ -204,14 +205,14 @@ def rare_failure(
     """
     flown = campaign.with_campaign(envelope=Envelope(runs=0))
     sign = 1.0 if largest else -1.0
-    with ThreadPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(workers) as pool, OwnKernels(campaign.with_campaign(runs=flights)) as kernels:
 
         def value(z: Array, noise: IntArray) -> Array:
             drawn, good = flown.plan.of_scores(z, noise)
             runs, out = np.flatnonzero(good).tolist(), np.full(len(z), math.nan)
             size = max(math.ceil(len(runs) / workers), _FEWEST_AT_ONCE)
             parts = [[(drawn, run) for run in runs[k : k + size]] for k in range(0, len(runs), size)]
-            for rows in pool.map(lambda part: fly_rows(flown, part, stop), parts):
+            for rows in pool.map(lambda part: fly_rows(flown, part, stop, kernels.pack), parts):
                 for row in rows:
                     if row.redraws == 0 and row.outcome != "refused":
                         found = sign * (row.metrics[metric] - limit)

@@ -32,12 +32,13 @@ from maxq.control.kernel.machine import cores
 from maxq.sim.campaign.analysis import requirements_of
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.objects import ObjectFolder
+from maxq.sim.campaign.own_kernels import OwnKernels
 from maxq.sim.campaign.read import LoadedCampaign, campaign_from, description_of
-from maxq.sim.campaign.runs import VOID, Row, fly_rows, packer, schema_of
+from maxq.sim.campaign.runs import VOID, Packing, Row, fly_rows, schema_of
 from maxq.sim.campaign.shards import Shard
 from maxq.sim.campaign.statistics import OPEN, judge_failures
 from maxq.sim.campaign.store import PartFiles, Store, Wait, files_of, open_store, parts_in, read_part, simulator
-from maxq.sim.run.fly import FlightRun, refuse_unstable_steps
+from maxq.sim.run.fly import refuse_unstable_steps
 from maxq.sim.run.metrics import judge
 from maxq.sim.scenario.schema_scenario import RequirementSection
 
@@ -343,6 +344,7 @@ class Threads:
     def __init__(self, campaign: LoadedCampaign, workers: int) -> None:
         self._campaign, self._workers = campaign, workers
         self._stop = threading.Event()
+        self._own: OwnKernels | None = None
         self._pool = ThreadPoolExecutor(workers, thread_name_prefix="run")
         self.ahead = AHEAD * workers
 
@@ -351,17 +353,18 @@ class Threads:
 
     def begin(self, gaps: list[Gap]) -> Iterator[Future[list[Row]]]:
         """Load the kernels if there are gaps, and return an iterator that submits the next task."""
-        if gaps:
-            load_kernels(self._campaign)
-        return self._tasks(gaps)
+        if not gaps:
+            return iter(())
+        self._own = OwnKernels(self._campaign)
+        return self._tasks(gaps, self._own.pack)
 
-    def _tasks(self, gaps: list[Gap]) -> Iterator[Future[list[Row]]]:
+    def _tasks(self, gaps: list[Gap], pack: Packing) -> Iterator[Future[list[Row]]]:
         batches = ((self._campaign.plan.draw(first, size), first, size) for first, size in gaps)
         orders = ((drawn, run) for drawn, first, size in batches for run in range(first, first + size))
         left = sum(size for _, size in gaps)
         while chunk := list(islice(orders, min(max(left // (2 * self.ahead), 1), CHUNK))):
             left -= len(chunk)
-            yield self._pool.submit(fly_rows, self._campaign, chunk, self._stop.is_set)
+            yield self._pool.submit(fly_rows, self._campaign, chunk, self._stop.is_set, pack)
 
     def collect(self, task: Future[list[Row]]) -> list[Row]:
         return task.result()
@@ -370,11 +373,8 @@ class Threads:
         """Cancel the tasks that have not begun, and stop the others after their present segment."""
         self._stop.set()
         self._pool.shutdown(cancel_futures=True)
-
-
-def load_kernels(campaign: LoadedCampaign) -> None:
-    """Load or compile the kernels before the time is measured, so that threads do not compile them at the same time."""
-    FlightRun(campaign.base, packer(campaign)(campaign.base.scenario), log=False).result()
+        if self._own is not None:
+            self._own.end()
 
 
 def _connected(address: str) -> Any:
@@ -466,12 +466,11 @@ class FlownBatch:
 
 def fly_batch(packed: bytes, first: int, size: int) -> FlownBatch:
     """Fly the runs `first` to `first + size - 1` on a worker of a cluster."""
-    campaign = _unpacked(packed)
+    campaign, kernels = _unpacked(packed)
     drawn = campaign.plan.draw(first, size)
     orders = [(drawn, run) for run in range(first, first + size)]
-    return evaluated(
-        campaign, [row for k in range(0, size, CHUNK) for row in fly_rows(campaign, orders[k : k + CHUNK])]
-    )
+    parts = (fly_rows(campaign, orders[k : k + CHUNK], pack=kernels.pack) for k in range(0, size, CHUNK))
+    return evaluated(campaign, [row for rows in parts for row in rows])
 
 
 def evaluated(campaign: LoadedCampaign, rows: Sequence[Row]) -> FlownBatch:
@@ -484,6 +483,7 @@ def evaluated(campaign: LoadedCampaign, rows: Sequence[Row]) -> FlownBatch:
 
 
 @lru_cache(maxsize=2)
-def _unpacked(packed: bytes) -> LoadedCampaign:
-    """Return the campaign of a task, which a worker creates once."""
-    return campaign_from(json.loads(zlib.decompress(packed)))
+def _unpacked(packed: bytes) -> tuple[LoadedCampaign, OwnKernels]:
+    """Return the campaign of a task, which a worker creates once, and its kernels, which the worker may compile."""
+    campaign = campaign_from(json.loads(zlib.decompress(packed)))
+    return campaign, OwnKernels(campaign)

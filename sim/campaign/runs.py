@@ -21,7 +21,7 @@ from maxq.sim.campaign.targets import Refused
 from maxq.sim.flight.metric_table import METRIC_NAMES
 from maxq.sim.flight.telemetry import SLOW
 from maxq.sim.input.values import NS_PER_S
-from maxq.sim.packing.flight import Packed, pack_flight, pack_for_one_vehicle
+from maxq.sim.packing.flight import Packed, pack_flight
 from maxq.sim.run.flight import Flight, LoggedRows
 from maxq.sim.run.fly import CONTROL_LOST_NAME, DIVERGED_NAME, SOFTWARE_NAME, FlightRun, with_half_step
 from maxq.sim.scenario.loader import LoadedScenario
@@ -31,7 +31,6 @@ REFUSED, ERROR = "refused", "error"
 """The outcomes in addition to those of a flight: draws that give no valid scenario, and an error of this program."""
 VOID = (DIVERGED_NAME, SOFTWARE_NAME, REFUSED, ERROR)
 """The outcomes without usable metrics. A run with such an outcome misses every requirement."""
-OWN_KERNELS_FROM = 500  # number of runs
 TIME_OF = "{}.time_s"
 """The name of the column with the time of a metric."""
 
@@ -63,7 +62,12 @@ class Row:
     history: tuple[Array, Array] | None = field(default=None, repr=False)  # times (n,), s, and values (channels, n)
 
 
-def fly_rows(loaded: LoadedCampaign, orders: Iterable[RunOrder], stop: Callable[[], bool] = lambda: False) -> list[Row]:
+def fly_rows(
+    loaded: LoadedCampaign,
+    orders: Iterable[RunOrder],
+    stop: Callable[[], bool] = lambda: False,
+    pack: Packing = pack_flight,
+) -> list[Row]:
     """Fly consecutive runs, and return in order the rows of the runs completed before `stop` returned True.
 
     An error in a run is recorded in its row. A run whose integration errors are too large is flown again with half the
@@ -72,7 +76,7 @@ def fly_rows(loaded: LoadedCampaign, orders: Iterable[RunOrder], stop: Callable[
     external flight code is started for each run in turn, because it flies in a separate process, one for each thread.
     Raises CampaignError if the campaign rejects the draws.
     """
-    pack, computer = packer(loaded), loaded.base.scenario.vehicle.computer
+    computer = loaded.base.scenario.vehicle.computer
     runs = [_Run(loaded, drawn, run) for drawn, run in orders]
     for run in runs:
         run.pack(pack)
@@ -172,15 +176,6 @@ def _on_grid(rows: LoggedRows, columns: Sequence[tuple[str, int]], rate_hz: floa
     times = rows[SLOW][0] / NS_PER_S
     on_grid = np.flatnonzero(np.abs(times * rate_hz - np.rint(times * rate_hz)) < 1e-6)
     return times[on_grid], np.array([rows[group][1][on_grid, column] for group, column in columns])
-
-
-def packer(loaded: LoadedCampaign) -> Packing:
-    """Return the function that packs a campaign's flights.
-
-    With OWN_KERNELS_FROM runs or more, kernels are compiled for the vehicle; otherwise, the common kernels are used.
-    Both compute the same bits.
-    """
-    return pack_for_one_vehicle if loaded.campaign.runs >= OWN_KERNELS_FROM else pack_flight
 
 
 def fly_scenario(loaded: LoadedScenario) -> Flight:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from maxq.control.kernel.kept_code import EntryCache
 from maxq.control.kernel.limits import MAX_PENDULUMS
 from maxq.control.kernel.progress import compilation
 from maxq.control.kernel.records import Array, IntArray, Records, blank, duplicate, pack
@@ -189,6 +190,12 @@ class FlightRun:
         _, _, memory, state, self._arena, _, fast_ns, fast, slow_ns, slow, self._counts = arrays
         self.packed = replace(self.packed, memory=memory, state=state)
         self._rows = {FAST: (fast_ns, fast), SLOW: (slow_ns, slow)}
+
+    def finds_kernels(self, packed: Packed) -> bool:
+        """Return True if kernels for records like those of `packed`, a flight of this scenario, are stored on disk."""
+        _, pool, memory, state, arena, *others = self._arrays(self._logged, self._rows)
+        cache = getattr(advance, "_cache", None)  # another class if no folder can be written
+        return isinstance(cache, EntryCache) and cache.holds(packed.parameters, pool, memory, state, arena, 0, *others)
 
     @property
     def clock(self) -> Clock:

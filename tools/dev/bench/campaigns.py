@@ -21,14 +21,16 @@ from unittest.mock import patch
 
 from maxq.control.kernel.machine import cores
 from maxq.sim.campaign import runs as campaign_runs
+from maxq.sim.campaign.own_kernels import OwnKernels, load_kernels
 from maxq.sim.campaign.plan import Plan
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
-from maxq.sim.campaign.runner import CampaignProgress, load_kernels, run_campaign
+from maxq.sim.campaign.runner import CampaignProgress, run_campaign
 from maxq.sim.campaign.store import Store
 from maxq.sim.flight import loop
+from maxq.sim.packing.flight import pack_for_one_vehicle
 from maxq.sim.run import fly
 
-RUNS = 1000  # a typical number for an interactive campaign; from 500 runs on, kernels are compiled separately
+RUNS = 1000  # a typical number for an interactive campaign; with the kernels of the vehicle
 SHORT = ("run.duration_s=0.02", "run.stop_at=[]", "campaign.keep=[]", "campaign.batch=256")
 _FLOWN, _ROWS = 4000, 100_000
 
@@ -40,7 +42,7 @@ def _ksr3(*overrides: str) -> LoadedCampaign:
 def local(runs: int = RUNS) -> dict[str, float]:
     """Return the rates, the efficiency and the overhead of campaigns on threads."""
     campaign = _ksr3().with_campaign(runs=runs)
-    load_kernels(campaign)
+    load_kernels(campaign, pack_for_one_vehicle)
     workers = cores()
     with tempfile.TemporaryDirectory() as scratch:
         spent = {"kernel": 0.0}
@@ -79,7 +81,7 @@ def _timed(spent: dict[str, float], name: str, function: Callable[..., Any]) -> 
 PARTS: dict[str, tuple[Any, str]] = {
     "draws of a batch": (Plan, "draw"),
     "scenario: changed, checked": (LoadedCampaign, "inputs"),
-    "packing": (campaign_runs, "pack_for_one_vehicle"),
+    "packing": (OwnKernels, "pack"),
     "start": (campaign_runs, "_begun_flight"),
     "flight": (campaign_runs._Run, "fly"),
     "metrics, verdicts, row": (campaign_runs._Run, "recorded"),
@@ -94,7 +96,7 @@ def profile(runs: int = RUNS // 2) -> dict[str, float]:
     "other" is the remainder of the process's time.
     """
     campaign = _ksr3().with_campaign(runs=runs)
-    load_kernels(campaign)
+    load_kernels(campaign, pack_for_one_vehicle)
     spent = dict.fromkeys(PARTS, 0.0)
     with ExitStack() as stack, tempfile.TemporaryDirectory() as scratch:
         for name, (owner, function) in PARTS.items():
@@ -165,7 +167,7 @@ def dask(runs: int = RUNS) -> dict[str, float]:
 
     workers = cores()
     campaign = _ksr3().with_campaign(runs=runs)
-    load_kernels(campaign)
+    load_kernels(campaign, pack_for_one_vehicle)
     with (
         tempfile.TemporaryDirectory() as scratch,
         LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as machines,

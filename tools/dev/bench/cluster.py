@@ -40,7 +40,7 @@ def _simulate(flight_s: float) -> None:
     at_once = threading.Lock()
 
     def waited(packed: bytes, first: int, size: int) -> runner.FlownBatch:
-        campaign = runner._unpacked(packed)
+        campaign, _ = runner._unpacked(packed)
         with at_once:
             if not known:
                 fly(packed, 0, 1)  # loads the kernels

@@ -19,8 +19,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from maxq.sim.campaign.own_kernels import load_kernels
 from maxq.sim.campaign.read import load_campaign
-from maxq.sim.campaign.runner import load_kernels
 from maxq.sim.campaign.runs import fly_rows
 from maxq.sim.run.fly import fly
 from maxq.sim.run.guard import end_workers
