@@ -146,7 +146,7 @@ def _write_cycles(path: Path, run: PacedRun) -> Path:
 
 
 def show_flight(progress: Progress, run: FlightRun) -> None:
-    """Show the progress of a flight. It is a share of the duration only if no event can end the flight earlier."""
+    """Show the progress of a flight, as a share of the duration only if no event can end the flight earlier."""
     limits = run.loaded.scenario.run
     end_s = limits.start_s + limits.duration_s
     if limits.stop_at:
@@ -157,7 +157,7 @@ def show_flight(progress: Progress, run: FlightRun) -> None:
 
 @contextmanager
 def viewer_needed() -> Iterator[None]:
-    """Convert the errors of opening a viewer within the block into a CommandError on --view."""
+    """Convert errors of opening a viewer in the block into a CommandError that names --view."""
     from maxq.tools.replay.viewer import check_installed  # noqa: PLC0415  # lazy: flights without a view do not need it
 
     try:

@@ -68,9 +68,10 @@ class GainSchedules:
         return out
 
     def log_curvature(self, u: Array, slopes: Array) -> Array:
-        """Return the sum of d2 ln k / d u2, weighted with `slopes` (gains, plants), of shape (size, size).
+        """Return the sum of d2 ln k / d u2 over gains and plants, weighted with `slopes` (gains, plants).
 
-        With ln k = ln(sum of weights times exp(u)), each second derivative is diag(share) - share share'.
+        The shape is (size, size). With ln k = ln(sum of weights times exp(u)), each second derivative is diag(share) -
+        share share'.
         """
         out = np.zeros((self.size, self.size))
         for by, slope in zip(self.log_gradients(u), slopes, strict=True):

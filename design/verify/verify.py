@@ -41,6 +41,7 @@ from maxq.design.verify.suite import (
     WorstWanted,
     overall,
     read_suite,
+    set_words,
 )
 from maxq.design.verify.waivers import apply_waivers
 from maxq.design.verify.worst import worst_requirements
@@ -358,9 +359,7 @@ def conclude(
         changes = [f"certificate.times_s=[{c.time_s!r}]", f"certificate.planes=['{c.plane}']"]
         if isinstance(c, NodeCertificate):  # the time may be too close to the ends of thrust for an in-flight response
             changes.append("certificate.in_flight=false")
-        return loaded.command(
-            design, vehicle, *(x for change in changes for x in ("--set", change)), "--only", CERTIFICATE
-        )
+        return loaded.command(design, vehicle, *set_words(changes), "--only", CERTIFICATE)
 
     requirements += certificate_requirements(results.certificates, results.in_flight, at_node)
     nominal = suite.margins.nominal if suite.margins else LoopLimits()

@@ -58,7 +58,7 @@ def seeds(seed: int, key: str, first: int, count: int, attempt: int = 0) -> IntA
 
 @lru_cache(maxsize=512)
 def _permutation(seed: int, key: str, hypercube: int, stratum: int) -> IntArray:
-    """Return a random permutation of 0 to stratum - 1 for a hypercube, which consists of the ranks of random words."""
+    """Return a random permutation of 0 to stratum - 1 for a hypercube: the ranks of random words."""
     order = np.argsort(words(seed, f"{key}\0latin", 0, stratum, component=hypercube)[:, 0], kind="stable")
     ranks = np.empty(stratum, np.int64)
     ranks[order] = np.arange(stratum)

@@ -40,7 +40,7 @@ class ObjectFolder:
             self._system, self._root = url_to_fs(address)
 
     def pull(self, folder: Path) -> None:
-        """Copy the parts that the local folder lacks, and its campaign.json."""
+        """Copy campaign.json and the parts that the local folder lacks."""
         with self._explained("read"):
             there = self._files()
             for name in sorted(there, reverse=True):  # histories before the runs to which they belong

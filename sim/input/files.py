@@ -177,7 +177,7 @@ def note_here(name: str, shipped: Path, variants: Iterable[str] = ("{}", "{}.tom
 
 
 def not_found(name: Text, wanted: str, variants: Iterable[str]) -> tuple[str, str]:
-    """Return the problem and the allowed forms for a name for which `find` found none of the `variants`."""
+    """Return the problem and the allowed forms of a name, of which `find` found none of the `variants`."""
     if not name.source.folders:
         return "names a file, which a scenario given as text cannot do", "the content itself"
     for folder in name.source.folders:

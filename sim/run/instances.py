@@ -355,8 +355,8 @@ class _Remote(_InPython):
     def _struct(self, content: bytes, expected: int, until: float) -> bytes:
         """Return the struct of an answer, or raise OSError if it does not belong to this version of maxq_fsw.h.
 
-        `content` follows the code of the answer; of a stream, nothing has been received yet. The struct may begin with
-        0 in place of its size.
+        `content` follows the code of the answer; from a stream, it is received here. The struct may begin with 0 in
+        place of its size.
         """
         if self._stream and expected:
             content = self._received(_CODE.size, until)

@@ -71,7 +71,7 @@ def _upgraded(
 
 
 def _below(section: type[Section] | None, key: str) -> type[Section] | None:
-    """Return the section of a key or of a key `<part>_overrides`; None if it has no section."""
+    """Return the section that a key, or a key `<part>_overrides`, contains; None if it contains none."""
     if section is None:
         return None
     fields = {field.alias or name: field for name, field in section.model_fields.items()}

@@ -285,8 +285,8 @@ def operating_points_s(
 ) -> list[float]:
     """Return the vehicle times at which to judge the design, s.
 
-    They are the times of the order, else those of each stage's basis that are under thrust, else the rows of the gain
-    tables and every `every_s` between their ends.
+    They are the requested times, otherwise those of each stage's basis that are under thrust, otherwise the rows of
+    the gain tables and every `every_s` between their ends.
     """
     if order.times_s:
         return list(dict.fromkeys(order.times_s))

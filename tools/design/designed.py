@@ -61,7 +61,7 @@ class Designed:
     ) -> AnalysedLoop:
         """Return the loop at a vehicle time, with its margins, responses and plots as methods.
 
-        By default, it is the operating point with the least gain margin, in the plane and with the kind of the case.
+        The default is the operating point with the least gain margin, in the plane and with the kind of the case.
         Raises ValueError for a time outside the powered flight or the points, and for the other plane of given points.
         """
         case, loaded = self.outcome.loaded.case, self.outcome.loaded

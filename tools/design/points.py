@@ -1,5 +1,5 @@
-"""Designs at operating points of published derivatives: `simdesign analyse DESIGN --points FILE`, and cases of
-points.
+"""Designs at operating points of published derivatives: `simdesign analyse DESIGN --points FILE`, and cases with the
+key `points`.
 """
 
 from __future__ import annotations

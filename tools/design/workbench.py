@@ -377,7 +377,8 @@ def sliders(design: Design, stage: int, nodes: Sequence[OperatingPoint]) -> list
             for n, section in enumerate(sections):
                 for name in type(section).model_fields:
                     key, value = f"{stage}/{path}/{kind}/{n}/{name}", float(getattr(section, name))
-                    label = f"{kind.replace('_', ' ')} {n + 1}: {name.replace('_hz', '').replace('_', ' ')}"
+                    quantity = name.removesuffix("_hz").replace("zeta", "damping ratio").replace("_", " ")
+                    label = f"{kind.replace('_', ' ')} {n + 1}: {quantity}"
                     out.append(_slider(key, group, label, name, value, moves))
     return out
 

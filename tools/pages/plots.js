@@ -94,7 +94,7 @@
     return found.map((v, k) => given && given[k] !== null ? given[k] : v);
   }
 
-  function ticks(low, high, log, pixels, wide) {
+  function ticks(low, high, log, pixels, wide, least = 0) {
     if (log && high / low > 8) {
       const decade = pixels / Math.log10(high / low), every = Math.ceil((wide ? 46 : 18) / decade);
       const at = (steps) => {
@@ -109,7 +109,7 @@
     const most = Math.max(Math.floor(pixels / (wide ? 60 : 26)), 1);
     for (let count = most, more = 1; ; count--) {
       const rough = (high - low) / count, size = 10 ** Math.floor(Math.log10(rough));
-      let step = [1, 2, 2.5, 5, 10].map((m) => m * size).find((s) => s >= rough * 0.999);
+      let step = [1, 2, 2.5, 5, 10].map((m) => m * size).find((s) => s >= rough * 0.999 && (!least || (s >= least && Number.isInteger(s)))) || least;
       if (high - low > 150 && Math.abs(low % 90) < 1e-6 && Math.abs(high % 90) < 1e-6) step = [30, 45, 60, 90, 180, 360, 720].find((s) => s >= rough) || step;
       const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9) + (String(step / 10 ** Math.floor(Math.log10(step) + 1e-9)).startsWith("2.5") ? 1 : 0));
       const out = [];
@@ -125,8 +125,9 @@
 
   // a panel
 
+  const whole = (panel) => panel.series.some((s) => s.kind === "bars") ? 1 : 0; // counts have no fractions
   const bare = (panel) => panel.rows || panel.plane === "nyquist"; // no scale at the left
-  const roomLeft = (panel, view, height) => bare(panel) ? 8 : 10 + LETTER * Math.max(2, ...ticks(...view.y, panel.log_y, height - 30, false).map(([, text]) => text.length));
+  const roomLeft = (panel, view, height) => bare(panel) ? 8 : 10 + LETTER * Math.max(2, ...ticks(...view.y, panel.log_y, height - 30, false, whole(panel)).map(([, text]) => text.length));
 
   function draw(frame, panel, series, view, height, left, wide) {
     frame.replaceChildren();
@@ -140,7 +141,7 @@
       const unit = Math.max((xs[1] - xs[0]) / w, (ys[1] - ys[0]) / h);
       [xs, ys] = [[xs, w], [ys, h]].map(([[a, b], pixels]) => [(a + b - unit * pixels) / 2, (a + b + unit * pixels) / 2]);
     }
-    const up = ticks(...ys, panel.log_y, height - 30, false);
+    const up = ticks(...ys, panel.log_y, height - 30, false, whole(panel));
     const rows = bare(panel);
     const scale = (log, [low, high]) => log ? (v) => Math.log(v / low) / Math.log(high / low) : (v) => (v - low) / (high - low);
     const fx = scale(panel.log_x, xs), fy = scale(panel.log_y, ys);

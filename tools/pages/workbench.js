@@ -58,7 +58,7 @@
     const missed = trial.rows.filter((row) => row[5] !== "met");
     const tone = trial.stable && !missed.length ? "good" : "bad", box = get("outcome");
     box.className = `outcome ${tone}`;
-    box.querySelector("b").textContent = !trial.stable ? "UNSTABLE" : missed.length ? `${missed.length} of ${trial.rows.length} limits missed` : trial.rows.length > 1 ? "limits met here" : "stable; the design states no limits";
+    box.querySelector("b").textContent = !trial.stable ? "UNSTABLE" : missed.length ? `${missed.length} of ${trial.rows.length} limits missed` : trial.rows.length > 1 ? "all limits met at this operating point" : "stable; the design states no limits";
     box.querySelector("p").textContent = trial.text;
     const body = get("limits").tBodies[0];
     body.replaceChildren();

@@ -28,8 +28,6 @@ class LayoutTable(NamedTuple):
 
 MEANINGS = {
     "from, kg": "mass at ignition, with all stages above",
-    "to, kg": "mass at burnout",
-    "burn, s": "duration of the burn",
     "T/W": "largest thrust in vacuum / weight at ignition",
     "dv, m/s": "delta-v in vacuum, without losses",
     "v, m/s": "speed relative to the Earth at burnout",

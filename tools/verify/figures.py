@@ -81,9 +81,9 @@ def _vehicle(found: Verification) -> Plot:
     marks = [("gyro", lowest.gyro_station_m, "green")] if lowest.gyro_station_m is not None else []
     marks += [("gimbal", lowest.engine.gimbal_station_m, "purple")] if lowest.engine is not None else []
     first = [a for a in found.results.slosh if a.stage == 0]
-    marks += [(f"CG at {a.time_s:.3g} s", a.cg_station_m, "red") for a in (*first[:1], *first[-1:])]
+    marks += [(f"CG at {a.time_s:.3g} s", a.cg_station_m, "red") for a in (*first[:1], *first[1:][-1:])]
     caption = "To scale. The shapes of nose and fins are assumed if the vehicle file does not state them."
-    return side_view.figure(found.scenario.vehicle.name, bodies, marks, caption)
+    return side_view.figure(found.scenario.vehicle.name or "Vehicle as flown", bodies, marks, caption)
 
 
 # Flights
