@@ -155,7 +155,7 @@ class _Run:
                         return None
                     continue
                 row = recorded_row(self.made, flight)
-                row.drops = drops_of(flight)
+                row.drops = drops_of(flight, self.packed)
                 if self.envelope is not None:
                     times, values = zip(*self.kept, strict=True)
                     row.history = np.concatenate(times), np.concatenate(values, axis=-1)

@@ -65,7 +65,8 @@ from maxq.sim.scenario.schema_scenario import MOST_HALVINGS, Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.sensor.receivers import pack_receivers
 from maxq.sim.vehicle.state import CAUSES, R_I, V_I, Sizes, state_names
-from maxq.sim.world.earth import Earth, STANDARD_GRAVITY_mps2
+from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
+from maxq.sim.world.earth import Earth
 
 if TYPE_CHECKING:
     from maxq.sim.run.flight_software import FlightSoftware
