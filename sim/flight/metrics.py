@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 
-from maxq.control.kernel.jit import kernel, routine
-from maxq.control.kernel.limits import MAX_PENDULUMS
+from maxq.control.kernel.jit import kernel, rare_routine, routine
+from maxq.control.kernel.limits import MAX_PENDULUMS, MAX_TRAIL
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import vector_at
 from maxq.sim.flight.launch import track_release, track_tower
 from maxq.sim.flight.metric_table import N_METRICS, MetricIndex
-from maxq.sim.flight.parameters import Extremes, Memory, Parameters
+from maxq.sim.flight.parameters import Extremes, Memory, Parameters, Trail
 from maxq.sim.vehicle.derivative import StageRecord
 from maxq.sim.vehicle.schedule import TOTAL_MASS
 from maxq.sim.vehicle.slosh.kernel import bob_mass, wave_share
@@ -85,6 +85,25 @@ def gather(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: Evalua
     if limited[0] == 1 or limited[1] == 1:
         extremes.value[METRIC.saturation_time_s] += step_s
         extremes.time_ns[METRIC.saturation_time_s] = now_ns
+
+
+@rare_routine
+def keep_state(trail: Trail, now_ns: int, y: Array) -> None:
+    """Keep position and velocity in I of the state `y` in the trail, which must be due."""
+    if trail.count == MAX_TRAIL:
+        trail.count //= 2
+        trail.period_ns *= 2
+        for k in range(trail.count):
+            trail.time_ns[k] = trail.time_ns[2 * k]
+            for axis in range(3):
+                trail.r_I_m[3 * k + axis] = trail.r_I_m[6 * k + axis]
+                trail.v_I_mps[3 * k + axis] = trail.v_I_mps[6 * k + axis]
+    k = trail.count
+    trail.time_ns[k] = now_ns
+    for axis in range(3):
+        trail.r_I_m[3 * k + axis], trail.v_I_mps[3 * k + axis] = y[R_I + axis], y[V_I + axis]
+    trail.count = k + 1
+    trail.next_ns = (now_ns // trail.period_ns + 1) * trail.period_ns
 
 
 @kernel
