@@ -70,6 +70,7 @@ def _parser() -> Parser:
     _add_campaigns(parser)
     _add_files(parser)
     _add_export(parser)
+    _add_measured(parser)
     _add_winds(parser)
     parser.about_itself({"scenario": "scenarios (simrun SCENARIO)", "campaign": "campaigns (simrun CAMPAIGN)"})
     return parser
@@ -284,6 +285,44 @@ def _add_export(parser: Parser) -> None:
     export.overrides("the scenario", needs=["--fmu"])
 
 
+def _add_measured(parser: Parser) -> None:
+    examples = """\
+  simrun compare runs/nominal flown.csv
+  simrun compare runs/nominal flown.csv --alias 'Baro=altitude_m' --limit altitude_m.rms=50
+"""
+    exits = {Exit.OK: "compared, all limits met", Exit.FAILED: "a limit is exceeded"}
+    about = "Compare a flown flight with measured time series"
+    compare = parser.command("compare", about, examples, _compare, exits)
+    compare.option("LOG", "log (.mcap) or its folder", dest="place")
+    _add_series(compare)
+    about = "time of flight minus time of the file, s (default: the best fit, with its uncertainty)"
+    compare.option("--shift S", about, type=number)
+    about = "largest shift of the fit, s (default: 10)"
+    compare.option("--most-shift S", about, without=["--shift"], type=positive)
+    about = "limit of a channel's largest residual; CHANNEL.rms and CHANNEL.bias limit these; repeatable"
+    compare.option("--limit CHANNEL=VALUE...", about, type=_limit_pair)
+    compare.option("--out DIR", "where to write (default: comparison, next to the log)")
+
+
+def _add_series(parser: Parser) -> None:
+    parser.option("FILE", "measured series (.csv), with units in the headings, e.g. Altitude (ft)", dest="measured")
+    parser.option("--columns FILE", "channels, units and noise of the columns (.toml)")
+    about = "channel of a column (empty: none); repeatable"
+    parser.option("--alias HEADING=CHANNEL...", about, type=_pair)
+
+
+def _pair(text: str) -> tuple[str, str]:
+    name, sign, value = text.rpartition("=")
+    if not (sign and name):
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
+    return name.strip(), value.strip()
+
+
+def _limit_pair(text: str) -> tuple[str, float]:
+    name, value = _pair(text)
+    return name, positive(value)
+
+
 def _add_winds(parser: Parser) -> None:
     examples = """\
   simrun winds era5.nc --site nominal      needs the extra maxq[winds]
@@ -393,6 +432,13 @@ def _export(place: str, **given: Any) -> int:
     from maxq.tools.exchange import export  # noqa: PLC0415  # lazy
 
     return export.execute(place, **given)
+
+
+def _compare(**given: Any) -> int:
+    announce("loading the simulator")
+    from maxq.tools import simrun_compare  # noqa: PLC0415  # lazy
+
+    return simrun_compare.execute(**given)
 
 
 def _winds(**given: Any) -> int:

@@ -12,9 +12,9 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
-from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
 from maxq.sim.run.quantities import propellant_text
 from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
 from maxq.tools.replay.flight import Channels
 from maxq.tools.replay.vehicle_shape import PLANES, VehicleShape, shape_of, shapes_at
 
