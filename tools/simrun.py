@@ -45,6 +45,7 @@ _CAMPAIGN = {
     Exit.UNDECIDED: "undecided: more runs are needed",
 }
 _RESUMED = {Exit.INTERRUPTED: "interrupted; the same command resumes the campaign"}
+_CALIBRATED = {Exit.INTERRUPTED: "interrupted; the same command continues"}
 _MODELS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "points")
 _KINDS = (*_MODELS, "verdict", "flight-software", "messages")
 _FLIGHT_FILES = {
@@ -303,6 +304,24 @@ def _add_measured(parser: Parser) -> None:
     compare.option("--limit CHANNEL=VALUE...", about, type=_limit_pair)
     compare.option("--out DIR", "where to write (default: comparison, next to the log)")
 
+    examples = """\
+  simrun calibrate campaigns/first flown.csv --sigma altitude_m=5
+  simrun calibrate mine.toml flown.csv --fit thrust --shift-sigma 0.2
+"""
+    exits = {Exit.OK: "calibrated", Exit.FAILED: "the search did not converge"} | _CALIBRATED
+    about = "Fit the dispersed numbers of a campaign to measured time series"
+    calibrate = parser.command("calibrate", about, examples, _calibrate, exits)
+    calibrate.option("CAMPAIGN", "campaign file (.toml), or name of a built-in campaign")
+    _add_series(calibrate)
+    about = "1-sigma noise of a channel (default: from second differences); repeatable"
+    calibrate.option("--sigma CHANNEL=VALUE...", about, type=_limit_pair)
+    calibrate.option("--fit NAME...", "draw to fit, by key or name; repeatable (default: all that are continuous)")
+    calibrate.option("--shift S", "time of flight minus time of the file, s (default: 0)", type=number)
+    calibrate.option("--shift-sigma S", "fit the shift too, with this prior standard deviation, s", type=positive)
+    calibrate.overrides("the scenario, e.g. run.step_s=0.0005; KEY= removes the key")
+    _add_workers(calibrate)
+    calibrate.option("--out DIR", "where to write (default: runs/<name of the campaign>-calibrated)")
+
 
 def _add_series(parser: Parser) -> None:
     parser.option("FILE", "measured series (.csv), with units in the headings, e.g. Altitude (ft)", dest="measured")
@@ -439,6 +458,13 @@ def _compare(**given: Any) -> int:
     from maxq.tools import simrun_compare  # noqa: PLC0415  # lazy
 
     return simrun_compare.execute(**given)
+
+
+def _calibrate(**given: Any) -> int:
+    announce("loading the simulator")
+    from maxq.tools import simrun_calibrate  # noqa: PLC0415  # lazy
+
+    return simrun_calibrate.execute(**given)
 
 
 def _winds(**given: Any) -> int:
