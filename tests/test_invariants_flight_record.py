@@ -17,6 +17,7 @@ from maxq.sim.flight.metric_table import (
     METRICS,
     CutoffMetrics,
     EndMetrics,
+    ImpactMetrics,
     LaunchMetrics,
     MetricIndex,
     OrbitMetrics,
@@ -119,6 +120,7 @@ def test_names_of_metrics_end_with_their_unit() -> None:
         *StepMetrics._fields,
         *LaunchMetrics._fields,
         *CutoffMetrics._fields,
+        *ImpactMetrics._fields,
         *OrbitMetrics._fields,
     ) == METRIC_NAMES
     for metric in METRICS.values():

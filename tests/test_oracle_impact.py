@@ -155,7 +155,7 @@ def fallen_back_s(start_m: float, end_m: float, speed_mps: float) -> float:
 
 def test_the_air_of_a_scenario_is_the_standard_atmosphere_with_its_wind() -> None:
     packed = pack_flight(load_scenario("nominal", ["wind.speed_mps=10", "wind.from_deg=270"]).scenario)
-    column = air_column(packed)
+    column = air_column(packed, 0.0)
     for altitude, density in ((0.0, 1.2250), (5000.0, 0.73643), (20000.0, 0.088910), (80000.0, 1.8458e-5)):
         found = math.exp(np.interp(altitude, column.altitude_m, column.log_density))
         assert found == pytest.approx(density, rel=2e-4)  # US Standard Atmosphere 1976, table I: five digits

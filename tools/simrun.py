@@ -45,6 +45,7 @@ _CAMPAIGN = {
     Exit.UNDECIDED: "undecided: more runs are needed",
 }
 _RESUMED = {Exit.INTERRUPTED: "interrupted; the same command resumes the campaign"}
+_CALIBRATED = {Exit.INTERRUPTED: "interrupted; the same command continues"}
 _MODELS = ("scenario", "vehicle", "design", "campaign", "case", "suite", "layout", "points")
 _KINDS = (*_MODELS, "verdict", "flight-software", "messages")
 _FLIGHT_FILES = {
@@ -70,6 +71,7 @@ def _parser() -> Parser:
     _add_campaigns(parser)
     _add_files(parser)
     _add_export(parser)
+    _add_measured(parser)
     _add_winds(parser)
     parser.about_itself({"scenario": "scenarios (simrun SCENARIO)", "campaign": "campaigns (simrun CAMPAIGN)"})
     return parser
@@ -284,6 +286,62 @@ def _add_export(parser: Parser) -> None:
     export.overrides("the scenario", needs=["--fmu"])
 
 
+def _add_measured(parser: Parser) -> None:
+    examples = """\
+  simrun compare runs/nominal flown.csv
+  simrun compare runs/nominal flown.csv --alias 'Baro=altitude_m' --limit altitude_m.rms=50
+"""
+    exits = {Exit.OK: "compared, all limits met", Exit.FAILED: "a limit is exceeded"}
+    about = "Compare a flown flight with measured time series"
+    compare = parser.command("compare", about, examples, _compare, exits)
+    compare.option("LOG", "log (.mcap) or its folder", dest="place")
+    _add_series(compare)
+    about = "time of flight minus time of the file, s (default: the best fit, with its uncertainty)"
+    compare.option("--shift S", about, type=number)
+    about = "largest shift of the fit, s (default: 10)"
+    compare.option("--most-shift S", about, without=["--shift"], type=positive)
+    about = "limit of a channel's largest residual; CHANNEL.rms and CHANNEL.bias limit these; repeatable"
+    compare.option("--limit CHANNEL=VALUE...", about, type=_limit_pair)
+    compare.option("--out DIR", "where to write (default: comparison, next to the log)")
+
+    examples = """\
+  simrun calibrate campaigns/first flown.csv --sigma altitude_m=5
+  simrun calibrate mine.toml flown.csv --fit thrust --shift-sigma 0.2
+"""
+    exits = {Exit.OK: "calibrated", Exit.FAILED: "the search did not converge"} | _CALIBRATED
+    about = "Fit the dispersed numbers of a campaign to measured time series"
+    calibrate = parser.command("calibrate", about, examples, _calibrate, exits)
+    calibrate.option("CAMPAIGN", "campaign file (.toml), or name of a built-in campaign")
+    _add_series(calibrate)
+    about = "1-sigma noise of a channel (default: from second differences); repeatable"
+    calibrate.option("--sigma CHANNEL=VALUE...", about, type=_limit_pair)
+    calibrate.option("--fit NAME...", "draw to fit, by key or name; repeatable (default: all that are continuous)")
+    calibrate.option("--shift S", "time of flight minus time of the file, s (default: 0)", type=number)
+    calibrate.option("--shift-sigma S", "fit the shift too, with this prior standard deviation, s", type=positive)
+    calibrate.overrides("the scenario, e.g. run.step_s=0.0005; KEY= removes the key")
+    _add_workers(calibrate)
+    calibrate.option("--out DIR", "where to write (default: runs/<name of the campaign>-calibrated)")
+
+
+def _add_series(parser: Parser) -> None:
+    parser.option("FILE", "measured series (.csv), with units in the headings, e.g. Altitude (ft)", dest="measured")
+    parser.option("--columns FILE", "channels, units and noise of the columns (.toml)")
+    about = "channel of a column (empty: none); repeatable"
+    parser.option("--alias HEADING=CHANNEL...", about, type=_pair)
+
+
+def _pair(text: str) -> tuple[str, str]:
+    name, sign, value = text.rpartition("=")
+    if not (sign and name):
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
+    return name.strip(), value.strip()
+
+
+def _limit_pair(text: str) -> tuple[str, float]:
+    name, value = _pair(text)
+    return name, positive(value)
+
+
 def _add_winds(parser: Parser) -> None:
     examples = """\
   simrun winds era5.nc --site nominal      needs the extra maxq[winds]
@@ -393,6 +451,20 @@ def _export(place: str, **given: Any) -> int:
     from maxq.tools.exchange import export  # noqa: PLC0415  # lazy
 
     return export.execute(place, **given)
+
+
+def _compare(**given: Any) -> int:
+    announce("loading the simulator")
+    from maxq.tools import simrun_compare  # noqa: PLC0415  # lazy
+
+    return simrun_compare.execute(**given)
+
+
+def _calibrate(**given: Any) -> int:
+    announce("loading the simulator")
+    from maxq.tools import simrun_calibrate  # noqa: PLC0415  # lazy
+
+    return simrun_calibrate.execute(**given)
 
 
 def _winds(**given: Any) -> int:

@@ -23,10 +23,10 @@ from maxq.sim.input.errors import ScenarioError
 from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.scenario.soundings import SoundingLevel, wind_table
+from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
 from maxq.tools.cli.frame import CommandError, Exit
 from maxq.tools.cli.terminal import aligned, tell
 
-_STANDARD_GRAVITY_mps2 = 9.80665
 _VARIABLES = {
     "east": ("eastward_wind", ("u", "ugrd", "ua")),
     "north": ("northward_wind", ("v", "vgrd", "va")),
@@ -44,7 +44,7 @@ _AXES = {
 _PRESSURES = {"hpa": 1.0, "millibar": 1.0, "millibars": 1.0, "mbar": 1.0, "mb": 1.0, "pa": 0.01}
 _HEIGHTS = {"m": 1.0, "gpm": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0}
 _SPEEDS = {"m/s": 1.0, "m s-1": 1.0, "m s**-1": 1.0}
-_GEOPOTENTIALS = dict.fromkeys(("m**2 s**-2", "m2 s-2", "m^2 s^-2", "m^2/s^2", "m2/s2"), 1.0 / _STANDARD_GRAVITY_mps2)
+_GEOPOTENTIALS = dict.fromkeys(("m**2 s**-2", "m2 s-2", "m^2 s^-2", "m^2/s^2", "m2/s2"), 1.0 / STANDARD_GRAVITY_mps2)
 _UNITS = {"east": _SPEEDS, "north": _SPEEDS, "height": _HEIGHTS, "geopotential": _GEOPOTENTIALS}
 _OF_GRIB = {"indexpath": "", "filter_by_keys": {"typeOfLevel": "isobaricInhPa"}}
 

@@ -23,3 +23,4 @@ MAX_FAULTS = 16
 MAX_FAULT_WRITES = 6 * MAX_FAULTS  # two per axis for each fault
 MAX_TONES = 64  # of a multisine input
 MAX_BURNS = 4  # of the last stage's engine
+MAX_TRAIL = 512  # states of a flight kept for the metrics of its impact point

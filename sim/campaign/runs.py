@@ -159,7 +159,7 @@ class _Run:
                         return None
                     continue
                 row = recorded_row(self.made, flight)
-                row.drops = drops_of(flight)
+                row.drops = drops_of(flight, self.packed)
                 if self.envelope is not None:
                     times, values = zip(*self.kept, strict=True)
                     row.history = np.concatenate(times), np.concatenate(values, axis=-1)
@@ -186,6 +186,30 @@ def fly_scenario(loaded: LoadedScenario) -> Flight:
     flight = run.result()
     finer = with_half_step(flight)
     return flight if finer is None else fly_scenario(finer)
+
+
+def fly_histories(
+    loaded: LoadedScenario, channels: tuple[str, ...], rate_hz: float, stop: Callable[[], bool] = lambda: False
+) -> tuple[Flight, Array, Array] | None:
+    """Return a flight, and times (n,), s, and values (channels, n) of channels at about `rate_hz`.
+
+    The flight is repeated with half the step while integration errors are large. The result is None if `stop` returned
+    True before the end.
+    """
+    run = _begun_flight(loaded, Envelope(channels=channels, rate_hz=min(rate_hz, 100.0)), pack_flight(loaded.scenario))
+    groups = [(run.table.topic(channel).group, run.table.index(channel)) for channel in channels]
+    times, values = [], []
+    while not run.finished:
+        if stop():
+            return None
+        rows = run.fly_segment()
+        times.append(rows[SLOW][0] / NS_PER_S)
+        values.append(np.array([rows[group][1][:, column] for group, column in groups]))
+    flight = run.result()
+    finer = with_half_step(flight)
+    if finer is not None:
+        return fly_histories(finer, channels, rate_hz, stop)
+    return flight, np.concatenate(times), np.concatenate(values, axis=1)
 
 
 def _begun_flight(loaded: LoadedScenario, envelope: Envelope | None, packed: Packed) -> FlightRun:

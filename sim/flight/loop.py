@@ -12,7 +12,7 @@ from maxq.control.kernel.tables import find_interval
 from maxq.sim.flight import events, step
 from maxq.sim.flight.launch import RAIL_EXIT, leave_rail, lift_off, start_launch
 from maxq.sim.flight.metric_table import N_METRICS
-from maxq.sim.flight.metrics import gather
+from maxq.sim.flight.metrics import gather, keep_state
 from maxq.sim.flight.navigation import start_navigation
 from maxq.sim.flight.parameters import APOGEE, DIVERGED, IMPACT, LIFTOFF, N_EVENTS, NEVER, Memory, Parameters
 from maxq.sim.flight.sequence import await_ignition, begin_clock
@@ -178,6 +178,8 @@ def fly_step(
         log(p, memory, logged, now_at, log_rows, now, 0)
     step_ns = events.step_length(p, pool, memory, until_ns)
     gather(p, memory, now, 1e-9 * step_ns, now_at)
+    if memory.trail.period_ns > 0 and now >= memory.trail.next_ns:
+        keep_state(memory.trail, now, now_at.y)
     if clock.finished == 1:
         return
     step.take_step(p, pool, memory, now, step_ns, space)

@@ -121,6 +121,16 @@ class CutoffMetrics(NamedTuple):
     cutoff_perigee_error_m: Annotated[float, "m", "the same for the perigee"]
 
 
+class ImpactMetrics(NamedTuple):
+    """The metrics of the instantaneous impact point in vacuum; nan without [range_safety], and without a zone."""
+
+    max_impact_range_m: Annotated[float, "m", "largest distance of the impact point from the site"]
+    max_impact_cross_range_m: Annotated[float, "m", "largest distance of the impact point from the flight line"]
+    max_impact_excursion_m: Annotated[
+        float, "m", "largest distance of the impact point outside the permitted zone; negative: inside, from its edge"
+    ]
+
+
 class OrbitMetrics(NamedTuple):
     """The osculating Kepler orbit at the flight's end; nan without gravitation towards a centre."""
 
@@ -144,6 +154,7 @@ METRICS = {
         StepMetrics,
         LaunchMetrics,
         CutoffMetrics,
+        ImpactMetrics,
         OrbitMetrics,
     )
     for metric in declared_channels(kind)

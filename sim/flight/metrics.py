@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import math
 
-from maxq.control.kernel.jit import kernel, routine
-from maxq.control.kernel.limits import MAX_PENDULUMS
+from maxq.control.kernel.jit import kernel, rare_routine, routine
+from maxq.control.kernel.limits import MAX_PENDULUMS, MAX_TRAIL
 from maxq.control.kernel.records import Array
 from maxq.control.kernel.vectors import vector_at
 from maxq.sim.flight.launch import track_release, track_tower
 from maxq.sim.flight.metric_table import N_METRICS, MetricIndex
-from maxq.sim.flight.parameters import Extremes, Memory, Parameters
+from maxq.sim.flight.parameters import Extremes, Memory, Parameters, Trail
 from maxq.sim.vehicle.derivative import StageRecord
 from maxq.sim.vehicle.schedule import TOTAL_MASS
 from maxq.sim.vehicle.slosh.kernel import bob_mass, wave_share
 from maxq.sim.vehicle.state import R_I, V_I, Sizes, counts, pendulum_index
 from maxq.sim.vehicle.workspace import Aux, Evaluation
+from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
 
-STANDARD_GRAVITY_MPS2 = 9.80665
 SIGNIFICANT_PRESSURE_PA = 1000.0  # below this dynamic pressure the angle of attack has no consequence
 
 
@@ -53,10 +53,10 @@ def gather(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: Evalua
     q = aux.air.dynamic_pressure_Pa
     raise_to(extremes, METRIC.max_dynamic_pressure_Pa, q, now_ns)
     thrust_N = aux.engines.axial_thrust_N
-    thrust_g = thrust_N / props[TOTAL_MASS] / STANDARD_GRAVITY_MPS2
+    thrust_g = thrust_N / props[TOTAL_MASS] / STANDARD_GRAVITY_mps2
     raise_to(extremes, METRIC.max_thrust_over_weight_g, thrust_g, now_ns)
     sensed = (aux.aero_force_B_N[0] + thrust_N + memory.held.settling_N) / props[TOTAL_MASS]
-    raise_to(extremes, METRIC.max_axial_load_g, abs(sensed) / STANDARD_GRAVITY_MPS2, now_ns)
+    raise_to(extremes, METRIC.max_axial_load_g, abs(sensed) / STANDARD_GRAVITY_mps2, now_ns)
     _gather_bending(extremes, p.vehicle.sizes, now_ns, aux)
     if p.launch.tower_m > 0.0 and memory.launch.clear == 0:
         track_tower(p.environment.earth, p.launch, memory.launch, y, props, now_ns)
@@ -68,7 +68,7 @@ def gather(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: Evalua
     _gather_incidence(extremes, q, aux, now_ns)
     _, force_y, force_z = vector_at(aux.specific_force_B_mps2, 0)
     lateral_mps2 = math.sqrt(force_y * force_y + force_z * force_z)
-    raise_to(extremes, METRIC.max_lateral_load_g, lateral_mps2 / STANDARD_GRAVITY_MPS2, now_ns)
+    raise_to(extremes, METRIC.max_lateral_load_g, lateral_mps2 / STANDARD_GRAVITY_mps2, now_ns)
     roll_deg, lateral_deg = largest_error(memory.truth.error_rad)
     raise_to(extremes, METRIC.max_attitude_error_deg, lateral_deg, now_ns)
     raise_to(extremes, METRIC.max_roll_error_deg, roll_deg, now_ns)
@@ -85,6 +85,25 @@ def gather(p: Parameters, memory: Memory, now_ns: int, step_s: float, at: Evalua
     if limited[0] == 1 or limited[1] == 1:
         extremes.value[METRIC.saturation_time_s] += step_s
         extremes.time_ns[METRIC.saturation_time_s] = now_ns
+
+
+@rare_routine
+def keep_state(trail: Trail, now_ns: int, y: Array) -> None:
+    """Keep position and velocity in I of the state `y` in the trail, which must be due."""
+    if trail.count == MAX_TRAIL:
+        trail.count //= 2
+        trail.period_ns *= 2
+        for k in range(trail.count):
+            trail.time_ns[k] = trail.time_ns[2 * k]
+            for axis in range(3):
+                trail.r_I_m[3 * k + axis] = trail.r_I_m[6 * k + axis]
+                trail.v_I_mps[3 * k + axis] = trail.v_I_mps[6 * k + axis]
+    k = trail.count
+    trail.time_ns[k] = now_ns
+    for axis in range(3):
+        trail.r_I_m[3 * k + axis], trail.v_I_mps[3 * k + axis] = y[R_I + axis], y[V_I + axis]
+    trail.count = k + 1
+    trail.next_ns = (now_ns // trail.period_ns + 1) * trail.period_ns
 
 
 @kernel

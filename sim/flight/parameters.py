@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from maxq.control.computer import Computer, ComputerState
-from maxq.control.kernel.limits import MAX_BURNS, MAX_ENGINES, MAX_PENDULUMS, MAX_STAGES
+from maxq.control.kernel.limits import MAX_BURNS, MAX_ENGINES, MAX_PENDULUMS, MAX_STAGES, MAX_TRAIL
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.faults import FaultMemory, Faults
 from maxq.sim.flight.injection import Injections
@@ -166,6 +166,21 @@ class Burnout:
     v_I_mps: Annotated[Array, (3,)]
 
 
+@dataclass
+class Trail:
+    """States of the flight at intervals of about `period_ns` (0: none), for the metrics of the impact point.
+
+    When the arrays are full, every second state is dropped, and the period doubles.
+    """
+
+    period_ns: int
+    next_ns: int
+    count: int
+    time_ns: Annotated[IntArray, (MAX_TRAIL,)]
+    r_I_m: Annotated[Array, (3 * MAX_TRAIL,)]
+    v_I_mps: Annotated[Array, (3 * MAX_TRAIL,)]
+
+
 ERRORS_SQUARED = 5
 
 
@@ -184,6 +199,7 @@ class Memory:
     receivers: ReceiverMemory
     asked: Annotated[IntArray, (N_COMMANDS,)]  # commands of the sequence at the last sample
     burnout: Burnout
+    trail: Trail
     gusts: TurbulenceState
     history: GustHistory
     extremes: Extremes

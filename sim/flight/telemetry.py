@@ -20,7 +20,6 @@ from maxq.control.laws.adaptive import AdaptiveRow, adaptive_row
 from maxq.control.laws.drift import DriftRow, drift_row
 from maxq.control.laws.load_relief import LoadReliefRow, load_relief_row
 from maxq.sim.flight.channels import ChannelTable, Topic, declared_channels, declared_topics
-from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
 from maxq.sim.flight.parameters import Memory, Parameters
 from maxq.sim.vehicle.actuator.kernel import ActuatorRow, actuator_row
 from maxq.sim.vehicle.buffet.kernel import BuffetRow, buffet_row
@@ -58,6 +57,7 @@ from maxq.sim.vehicle.state import (
 )
 from maxq.sim.vehicle.tvc_load.kernel import SwingRow, TvcLoadRow, swing_row, tvc_load_row
 from maxq.sim.vehicle.workspace import Aux, Evaluation
+from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
 from maxq.sim.world.earth import FLAT, earth_rotation, geodetic, inertial_to_earth, ned_axes
 
 FAST, SLOW = "fast", "slow"
@@ -253,7 +253,7 @@ class LoadsRow(NamedTuple):
 
 @kernel
 def loads_row(props: Array, aux: Aux) -> LoadsRow:
-    weight_N = props[TOTAL_MASS] * STANDARD_GRAVITY_MPS2
+    weight_N = props[TOTAL_MASS] * STANDARD_GRAVITY_mps2
     return LoadsRow(
         aero_force_B_axis_N=xyz(aux.aero_force_B_N, 0),
         aero_moment_B_axis_Nm=xyz(aux.aero_moment_B_Nm, 0),

@@ -33,7 +33,8 @@ from maxq.sim.scenario.schema_design import AdaptiveSection, Design, FilterSecti
 from maxq.sim.scenario.schema_launch import Cutoff, OrbitTarget, Restart
 from maxq.sim.scenario.schema_scenario import Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
-from maxq.sim.world.earth import FLAT, INVERSE_SQUARE, J2, UNIFORM, Earth, STANDARD_GRAVITY_mps2
+from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
+from maxq.sim.world.earth import FLAT, INVERSE_SQUARE, J2, UNIFORM, Earth
 
 COAST_RATE_degps = 3.0  # limit of the commanded attitude rate without closed-loop guidance
 _WHERE = {

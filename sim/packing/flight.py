@@ -40,6 +40,7 @@ from maxq.sim.vehicle.state import MAX_STATE, W_BI_B, Sizes, start_states
 CONTROL_LOST_RAD = math.radians(45.0)
 TUMBLE_RAD = math.radians(90.0)
 TUMBLE_PRESSURE_PA = 5000.0
+_TRAIL_NS = NS_PER_S // 10
 _start_states = from_python(start_states)
 
 
@@ -114,6 +115,7 @@ def pack_flight(scenario: Scenario) -> Packed:
     _start_states(parameters["vehicle"]["sizes"][0], rate, 0, y)
     memory = blank(Memory)
     memory["clock"]["now_ns"] = to_ns(scenario.run.start_s)
+    memory["trail"]["period_ns"] = _TRAIL_NS if scenario.range_safety is not None else 0
     memory["held"]["on_pad"] = int(scenario.held)
     memory["held"]["clamped"] = int(scenario.held and scenario.holddown.clamped)
     widest = Sizes(*map(max, zip(*map(_counts, all_sizes), strict=True)))

@@ -24,6 +24,7 @@ from maxq.sim.flight.loop import advance, begin
 from maxq.sim.flight.metric_table import (
     METRIC_NAMES,
     CutoffMetrics,
+    ImpactMetrics,
     LaunchMetrics,
     MetricIndex,
     StepMetrics,
@@ -44,6 +45,7 @@ from maxq.sim.flight.step import Arena
 from maxq.sim.flight.telemetry import FAST, SLOW, Logged, channel_table
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.input.values import to_ns
+from maxq.sim.packing.environment import pack_earth
 from maxq.sim.packing.flight import CONTROL_LOST_RAD, Packed, pack_flight
 from maxq.sim.packing.integration import unstable
 from maxq.sim.run.flight import WAVE_BREAKING_NAME, Event, Flight, GrowingRows, LoggedRows, SeparationState, copied
@@ -59,6 +61,7 @@ from maxq.sim.run.metrics import (
     step_failure,
 )
 from maxq.sim.run.quantities import propellant_text
+from maxq.sim.run.range_safety import impact_metrics
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_launch import Cutoff
@@ -66,7 +69,8 @@ from maxq.sim.scenario.schema_scenario import MOST_HALVINGS, Scenario
 from maxq.sim.scenario.schema_vehicle import Stage
 from maxq.sim.vehicle.sensor.receivers import pack_receivers
 from maxq.sim.vehicle.state import CAUSES, R_I, V_I, Sizes, state_names
-from maxq.sim.world.earth import Earth, STANDARD_GRAVITY_mps2
+from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
+from maxq.sim.world.earth import Earth
 
 if TYPE_CHECKING:
     from maxq.sim.run.flight_software import FlightSoftware
@@ -419,6 +423,7 @@ class FlightRun:
         r_I_m, v_I_mps = (tuple(self.packed.state[k : k + 3].tolist()) for k in (R_I, V_I))
         metrics |= orbit_metrics(earth, r_I_m, v_I_mps)._asdict()
         metrics |= self._of_launch(metric_times_s) | self._of_cutoff(earth, metric_times_s)
+        metrics |= self._of_impact(metric_times_s)
         metric_times_s |= section_times._asdict()
         judged = judged_requirements(scenario)
         if scenario.design is None or scenario.vehicle.computer is None:
@@ -485,6 +490,23 @@ class FlightRun:
         if end is None:
             return dict.fromkeys(CutoffMetrics._fields, math.nan)
         return cutoff_metrics(earth, end, tuple(burnout.r_I_m.tolist()), tuple(burnout.v_I_mps.tolist()))._asdict()
+
+    def _of_impact(self, times_s: dict[str, float]) -> dict[str, float]:
+        """Return the metrics of the impact point, and write their times into `times_s`."""
+        scenario, trail = self.loaded.scenario, self.packed.memory["trail"][0]
+        if scenario.range_safety is None:
+            times_s |= dict.fromkeys(ImpactMetrics._fields, math.nan)
+            return dict.fromkeys(ImpactMetrics._fields, math.nan)
+        n = int(trail["count"])
+        at_s = np.append(trail["time_ns"][:n] / 1e9, self.now_s)  # with the last state of the flight
+        r_I_m, v_I_mps = (
+            np.vstack([trail[name][: 3 * n].reshape(n, 3), self.packed.state[k : k + 3]])
+            for name, k in (("r_I_m", R_I), ("v_I_mps", V_I))
+        )
+        earth = pack_earth(scenario.earth)
+        found, found_s = impact_metrics(earth, scenario.site, scenario.range_safety, at_s, r_I_m, v_I_mps)
+        times_s |= found_s._asdict()
+        return found._asdict()
 
     def _on_the_pad(self, final: dict[str, float]) -> tuple[str, ...]:
         """Return a failure with its reason if a vehicle in hold-down has not lifted off after its thrust has built up.

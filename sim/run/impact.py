@@ -8,16 +8,14 @@ kind includes lift, breakup or turbulence. The ground is a surface of constant g
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from maxq.control.kernel.records import Array
+from maxq.control.kernel.records import Array, Records, pack
 from maxq.sim.packing.flight import Packed
-from maxq.sim.run.evaluate import evaluate_at
-from maxq.sim.run.launch_frames import plain
-from maxq.sim.vehicle.state import R_I
-from maxq.sim.world.earth import FLAT, INVERSE_SQUARE, J2, Earth, earth_position, geodetic
+from maxq.sim.vehicle.environment import air_over_altitude
+from maxq.sim.world.earth import FLAT, INVERSE_SQUARE, J2, Earth, geodetic_places, gravitations
 
 _ITERATIONS, _CLOSE_m = 60, 1e-4
 _TOP_m, _LAYER_m = 120e3, 500.0  # air is neglected above
@@ -58,7 +56,7 @@ def vacuum_impacts(earth: Earth, time_s: Array, r_I_m: Array, v_I_mps: Array, gr
     """
     if not has_impacts(earth):
         return Impacts(*np.full((3, len(time_s)), math.nan))
-    mu = float(earth.mu_m3ps2)
+    mu, globe = float(earth.mu_m3ps2), pack([earth])
     radius = np.linalg.norm(r_I_m, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         axis = 1.0 / (2.0 / radius - np.sum(v_I_mps**2, axis=1) / mu)
@@ -66,7 +64,7 @@ def vacuum_impacts(earth: Earth, time_s: Array, r_I_m: Array, v_I_mps: Array, gr
         e_cos = 1.0 - radius / axis
         e_sin = np.sum(r_I_m * v_I_mps, axis=1) / np.sqrt(mu * axis)
         eccentricity, anomaly = np.hypot(e_cos, e_sin), np.arctan2(e_sin, e_cos)
-        below = _geodetic(earth, r_I_m)[2] <= ground_m
+        below = _geodetic(globe, r_I_m)[2] <= ground_m
         end_m = np.full(len(radius), float(earth.equatorial_radius_m) + ground_m)
         for _ in range(_ITERATIONS):
             turned = (2.0 * math.pi - np.arccos(np.clip((1.0 - end_m / axis) / eccentricity, -1.0, 1.0))) - anomaly
@@ -76,7 +74,7 @@ def vacuum_impacts(earth: Earth, time_s: Array, r_I_m: Array, v_I_mps: Array, gr
             f = 1.0 - axis / radius * (1.0 - np.cos(turned))
             g = fall_s - (turned - np.sin(turned)) / motion
             place = f[:, None] * r_I_m + g[:, None] * v_I_mps
-            latitude, azimuth, altitude = _geodetic(earth, place)
+            latitude, azimuth, altitude = _geodetic(globe, place)
             miss_m = np.where(below, 0.0, altitude - ground_m)
             if not (np.abs(miss_m) > _CLOSE_m).any():
                 break
@@ -99,49 +97,41 @@ def falling_impacts(
     Method: classical Runge-Kutta of fourth order; all bodies are advanced together, each with its own step. States
     whose vacuum ellipse does not meet the ground give nan.
     """
+    globe = pack([earth])
     todo = np.flatnonzero(np.isfinite(vacuum_impacts(earth, time_s, r_I_m, v_I_mps, ground_m).fall_s))
     fall_s, last = np.full(len(time_s), math.nan), np.hstack([r_I_m, v_I_mps])  # states before the step to the ground
     y, t, last_step_s = last[todo], np.zeros(len(todo)), np.zeros(len(time_s))
     for _ in range(_MOST_STEPS):
         if not len(todo):
             break
-        step_s = _step_s(earth, column, ballistic_kgpm2, y)
-        after = _stepped(earth, column, ballistic_kgpm2, y, step_s)
-        flies = _geodetic(earth, after[:, :3])[2] > ground_m
+        step_s = _step_s(globe, column, ballistic_kgpm2, y)
+        after = _stepped(globe, column, ballistic_kgpm2, y, step_s)
+        flies = _geodetic(globe, after[:, :3])[2] > ground_m
         landed = todo[~flies]
         fall_s[landed], last[landed], last_step_s[landed] = t[~flies], y[~flies], step_s[~flies]
         todo, y, t = todo[flies], after[flies], (t + step_s)[flies]
     low, high = np.zeros(len(time_s)), last_step_s
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        flies = _geodetic(earth, _stepped(earth, column, ballistic_kgpm2, last, middle)[:, :3])[2] > ground_m
+        flies = _geodetic(globe, _stepped(globe, column, ballistic_kgpm2, last, middle)[:, :3])[2] > ground_m
         low, high = np.where(flies, middle, low), np.where(flies, high, middle)
-    latitude, azimuth, _ = _geodetic(earth, _stepped(earth, column, ballistic_kgpm2, last, high)[:, :3])
+    latitude, azimuth, _ = _geodetic(globe, _stepped(globe, column, ballistic_kgpm2, last, high)[:, :3])
     return _impacts(earth, time_s, fall_s + high, latitude, azimuth)
 
 
-def air_column(packed: Packed) -> AirColumn:
-    """Return the air of a packed scenario before its flight over altitude, with wind profile and gusts.
+def air_column(packed: Packed, ground_m: float) -> AirColumn:
+    """Return the air of a packed scenario from the ground up, with wind profile and gusts. Turbulence is omitted.
 
-    Turbulence is omitted.
+    `packed` may be at its start or in flight.
     """
-    parameters = packed.parameters.copy()
-    parameters["environment"]["turbulence"]["on"] = 0
-    packed = replace(packed, parameters=parameters)
-    earth = packed.parameters[0].environment.earth
-    latitude, longitude, ground_m = plain(geodetic)(earth, *packed.state[R_I : R_I + 3].tolist())
     altitudes = np.concatenate(
         [
             np.arange(math.floor(ground_m / _LAYER_m) * _LAYER_m, 20e3, _LAYER_m),
             np.arange(20e3, _TOP_m + 1.0, 4.0 * _LAYER_m),
         ]
     )
-    rows, y = [], packed.state.copy()
-    for altitude in altitudes.tolist():
-        y[R_I : R_I + 3] = plain(earth_position)(earth, latitude, longitude, altitude)
-        air = evaluate_at(packed, y, 0.0).aux.air
-        rows.append((air.density_kgpm3, *air.wind_N_mps))
-    table = np.array(rows)
+    table = np.empty((len(altitudes), 4))
+    air_over_altitude(packed.parameters["environment"][:1].copy(), packed.pool, altitudes, table)
     with np.errstate(divide="ignore"):
         return AirColumn(altitudes, np.log(table[:, 0]), table[:, 1:])
 
@@ -153,29 +143,21 @@ def _impacts(earth: Earth, time_s: Array, fall_s: Array, latitude: Array, azimut
     return Impacts(np.degrees(latitude) + known, np.mod(longitude + 180.0, 360.0) - 180.0 + known, fall_s)
 
 
-def _geodetic(earth: Earth, r_m: Array) -> tuple[Array, Array, Array]:
-    """Return latitude, azimuth about the polar axis (rad) and altitude (m) of places (n, 3): two passes of Bowring."""
-    a, ratio = float(earth.equatorial_radius_m), 1.0 - float(earth.flattening)
-    e2 = 1.0 - ratio * ratio
-    p, z = np.hypot(r_m[:, 0], r_m[:, 1]), r_m[:, 2]
-    s, c = z * (ratio * np.hypot(p, z) + e2 * a), p * np.hypot(p, z)
-    for _ in range(2):
-        size = np.hypot(s, c)
-        s, c = ratio * z + e2 * a * (s / size) ** 3, ratio * (p - e2 * a * (c / size) ** 3)
-        latitude = np.arctan2(s, c)
-        s, c = ratio * np.sin(latitude), np.cos(latitude)
-    sine, cosine = np.sin(latitude), np.cos(latitude)
-    return latitude, np.arctan2(r_m[:, 1], r_m[:, 0]), p * cosine + z * sine - a * np.sqrt(1.0 - e2 * sine * sine)
+def _geodetic(earth: Records, r_m: Array) -> Array:
+    """Return latitude, azimuth about the polar axis (rad) and altitude (m), (3, n), of places (n, 3)."""
+    out = np.empty(r_m.shape)
+    geodetic_places(earth, np.ascontiguousarray(r_m), out)
+    return out.T
 
 
-def _rates(earth: Earth, column: AirColumn, ballistic_kgpm2: float, y: Array) -> tuple[Array, Array]:
+def _rates(earth: Records, column: AirColumn, ballistic_kgpm2: float, y: Array) -> tuple[Array, Array]:
     """Return the derivative (n, 6) of states in I, and the drag over the speed relative to the air (n,), 1/s."""
     r, v = y[:, :3], y[:, 3:]
     latitude, azimuth, altitude = _geodetic(earth, r)
     wind = np.stack([np.interp(altitude, column.altitude_m, column.wind_N_mps[:, k]) for k in range(3)])
     s, c, sine, cosine = np.sin(latitude), np.cos(latitude), np.sin(azimuth), np.cos(azimuth)
     outward = -s * wind[0] - c * wind[2]
-    spin = float(earth.rate_radps)
+    spin = float(earth["rate_radps"][0])
     air = np.stack(
         [
             cosine * outward - sine * wind[1] - spin * r[:, 1],
@@ -190,24 +172,19 @@ def _rates(earth: Earth, column: AirColumn, ballistic_kgpm2: float, y: Array) ->
     return np.hstack([v, _gravitation(earth, r) - drag[:, None] * past]), drag
 
 
-def _gravitation(earth: Earth, r_m: Array) -> Array:
-    """Return the gravitation (n, 3), m/s2, at places (n, 3): the formula of sim/world/earth.py for arrays."""
-    radius = np.linalg.norm(r_m, axis=1)
-    k = -float(earth.mu_m3ps2) / radius**3
-    if earth.gravity == INVERSE_SQUARE:
-        return np.asarray(k[:, None] * r_m)
-    c = 1.5 * float(earth.j2) * (float(earth.gravity_radius_m) / radius) ** 2
-    s = 5.0 * (r_m[:, 2] / radius) ** 2
-    across = k * (1.0 + c * (1.0 - s))
-    return np.stack([across * r_m[:, 0], across * r_m[:, 1], k * (1.0 + c * (3.0 - s)) * r_m[:, 2]], axis=1)
+def _gravitation(earth: Records, r_m: Array) -> Array:
+    """Return the gravitation (n, 3), m/s2, at places (n, 3)."""
+    out = np.empty(r_m.shape)
+    gravitations(earth, np.ascontiguousarray(r_m), out)
+    return out
 
 
-def _step_s(earth: Earth, column: AirColumn, ballistic_kgpm2: float, y: Array) -> Array:
+def _step_s(earth: Records, column: AirColumn, ballistic_kgpm2: float, y: Array) -> Array:
     drag = _rates(earth, column, ballistic_kgpm2, y)[1]
     return np.minimum(_LONGEST_STEP_s, _DRAG_STEP / np.maximum(drag, 1e-9))
 
 
-def _stepped(earth: Earth, column: AirColumn, ballistic_kgpm2: float, y: Array, step_s: Array) -> Array:
+def _stepped(earth: Records, column: AirColumn, ballistic_kgpm2: float, y: Array, step_s: Array) -> Array:
     h = step_s[:, None]
     k1 = _rates(earth, column, ballistic_kgpm2, y)[0]
     k2 = _rates(earth, column, ballistic_kgpm2, y + 0.5 * h * k1)[0]

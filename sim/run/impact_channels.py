@@ -123,7 +123,7 @@ class WithImpacts(Tabular):
 
     @cached_property
     def _air(self) -> AirColumn:
-        return air_column(pack_flight(self.loaded.scenario))
+        return air_column(pack_flight(self.loaded.scenario), self.ground_m)
 
     def drop_points(self) -> list[DropPoint]:
         """Return the impact points of all dropped bodies, in order of their separations."""

@@ -1,4 +1,4 @@
-"""The sections of a scenario for rail, tower, navigation errors, and the burns of the last engine."""
+"""The sections of a scenario for rail, tower, range safety, navigation errors, and the burns of the last engine."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from maxq.sim.input.errors import refuse
-from maxq.sim.input.values import Angle, NotNegative, Positive, Seconds, Section, Triple, optional
+from maxq.sim.input.values import Angle, Latitude, Longitude, NotNegative, Positive, Seconds, Section, Triple, optional
 
 
 class OrbitTarget(Section):
@@ -91,6 +91,21 @@ class NavigationSection(Section):
     alignment_error_deg: Triple = optional(
         "rotation error of the computed attitude about body x, y, z, deg; grows with the gyros' errors", (0.0, 0.0, 0.0)
     )
+
+
+class RangeSafety(Section):
+    """The flight line and the permitted zone, for the metrics of the instantaneous impact point in vacuum."""
+
+    azimuth_deg: Angle | None = optional(
+        "azimuth of the flight line at the site, deg from north through east (default: site.azimuth_deg)"
+    )
+    zone: Annotated[tuple[tuple[Latitude, Longitude], ...], Field(min_length=3)] | None = optional(
+        "corners [latitude, longitude] of the permitted zone in order, deg; edges: great circles; at most a hemisphere"
+    )
+
+    def _check(self) -> None:
+        if self.zone is not None and len(set(self.zone)) < len(self.zone):
+            raise refuse("names a corner twice", "different corners; the last edge closes the ring", "zone")
 
 
 class Tower(Section):

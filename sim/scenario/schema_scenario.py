@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from maxq.control.kernel.limits import MAX_BURNS, MAX_FAULTS, MAX_INJECTIONS, MAX_TONES
 from maxq.control.structures import DRIFT, RELIEF
-from maxq.sim.flight.metric_table import METRIC_NAMES, CutoffMetrics, LaunchMetrics
+from maxq.sim.flight.metric_table import METRIC_NAMES, CutoffMetrics, ImpactMetrics, LaunchMetrics
 from maxq.sim.input.errors import refuse, suggestion
 from maxq.sim.input.tables_csv import Columns, CsvTable
 from maxq.sim.input.values import (
@@ -30,7 +30,7 @@ from maxq.sim.scenario.coverage import check_gains, check_programme, check_stage
 from maxq.sim.scenario.schema_design import Design
 from maxq.sim.scenario.schema_environment import AtmosphereSection, EarthSection, Site, WindSection
 from maxq.sim.scenario.schema_fault import KINDS, OF_VEHICLE, Fault
-from maxq.sim.scenario.schema_launch import Cutoff, NavigationSection, OrbitTarget, Rail, Restart, Tower
+from maxq.sim.scenario.schema_launch import Cutoff, NavigationSection, OrbitTarget, Rail, RangeSafety, Restart, Tower
 from maxq.sim.scenario.schema_vehicle import Stage, Vehicle
 from maxq.sim.vehicle.loads.section import SECTION_PREFIX, check_line_mass
 
@@ -339,6 +339,7 @@ class Scenario(Section):
     holddown: HoldDown = HoldDown()
     rail: Rail | None = optional("absent: no launch rail")
     tower: Tower | None = optional("absent: none")
+    range_safety: RangeSafety | None = optional("absent: no metrics of the impact point")
     navigation: NavigationSection | None = optional("absent: no errors except those of the gyros in the attitude")
     injection: tuple[Injection, ...] = optional("signals for tests", (), max_length=MAX_INJECTIONS)
     fault: tuple[Fault, ...] = optional(
@@ -436,9 +437,9 @@ class Scenario(Section):
         if computer is None or computer.attitude != "quaternion":
             raise refuse("needs an attitude in space", "vehicle.computer.attitude = 'quaternion'", at)
 
-    def _check_gravity(self, at: tuple[str | int, ...]) -> None:
+    def _check_gravity(self, at: tuple[str | int, ...], problem: str = "there are no orbits") -> None:
         if self.earth.gravity not in ("j2", "inverse_square"):
-            raise refuse("there are no orbits", "earth.gravity = 'j2', 'inverse_square'", at)
+            raise refuse(problem, "earth.gravity = 'j2', 'inverse_square'", at)
 
     def _check_inclination(self, wanted: OrbitTarget, at: tuple[str | int, ...]) -> None:
         from maxq.sim.world.earth import WGS84_FLATTENING, geocentric_rad  # noqa: PLC0415  # lazy: imports Numba
@@ -469,6 +470,9 @@ class Scenario(Section):
             radius_m = self.tower.radius_m + self.tower.vehicle_radius(self.vehicle.reference.diameter_m)
             if self.tower.distance_m <= radius_m:
                 raise refuse("the tower reaches into the vehicle", f"above {radius_m:g}", ("tower", "distance_m"))
+        if self.range_safety is not None:
+            self._check_gravity(("range_safety",), "there is no impact point")
+        zone = self.range_safety is not None and self.range_safety.zone is not None
         last = self.guidance.ends[-1]
         aims = {
             "cutoff_speed_error_mps": isinstance(last, Cutoff) and last.apogee_altitude_m is None,
@@ -479,6 +483,8 @@ class Scenario(Section):
             needs = {
                 "[rail]": requirement.metric == "rail_exit_speed_mps" and self.rail is None,
                 "[tower]": requirement.metric in LaunchMetrics._fields[:2] and self.tower is None,
+                "[range_safety]": requirement.metric in ImpactMetrics._fields and self.range_safety is None,
+                "range_safety.zone": requirement.metric == "max_impact_excursion_m" and not zone,
                 "guidance.orbit or guidance.cutoff, of the last burn": requirement.metric in CutoffMetrics._fields
                 and last is None,
                 "a last burn that aims at it": not aims.get(requirement.metric, True),

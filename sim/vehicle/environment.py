@@ -18,9 +18,9 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.jit import entry, kernel, routine
 from maxq.control.kernel.limits import MAX_SURFACES
-from maxq.control.kernel.records import Array
+from maxq.control.kernel.records import Array, Records
 from maxq.control.kernel.vectors import Matrix, Vector, add, cross, rotate, rotate_back, scaled, set_vector, vector_at
 from maxq.sim.vehicle.block import R_I, V_I
 from maxq.sim.world.atmosphere import (
@@ -124,6 +124,17 @@ def air_data(
     set_vector(out.wind_N_mps, 0, wind)
     set_vector(out.gravitation_I_mps2, 0, gravity)
     return gravity
+
+
+@entry
+def air_over_altitude(environment: Records, pool: Array, altitude_m: Array, out: Array) -> None:
+    """Write density, kg/m3, and wind north, east, down, m/s, at altitudes (n,) into `out` (n, 4), without turbulence.
+
+    `environment` (1,) is of Environment.
+    """
+    for k in range(len(altitude_m)):
+        out[k, 0] = air(environment[0].atmosphere, pool, altitude_m[k])[0]
+        out[k, 1], out[k, 2], out[k, 3] = wind_ned(environment[0].wind, pool, altitude_m[k])
 
 
 @kernel

@@ -16,8 +16,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from maxq.control.kernel.jit import kernel, routine
+from maxq.control.kernel.jit import entry, kernel, routine
+from maxq.control.kernel.records import Array, Records
 from maxq.control.kernel.vectors import Matrix, Symmetric, Vector
+from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
 
 FLAT, SPHERE, ELLIPSOID = 0, 1, 2  # Earth.figure
 NO_GRAVITY, UNIFORM, INVERSE_SQUARE, J2, ALONG_BODY = 0, 1, 2, 3, 4  # Earth.gravity
@@ -28,7 +30,6 @@ WGS84_MU_m3ps2 = 3.986004418e14
 WGS84_J2 = 1.08262982e-3
 WGS84_RATE_radps = 7.292115e-5
 MEAN_RADIUS_m = 6371007.1809  # sphere of equal surface area (authalic)
-STANDARD_GRAVITY_mps2 = 9.80665
 
 _NOWHERE_m = 1e-100  # a point this close to the axis or the centre is treated as on it, because the squares underflow
 
@@ -214,6 +215,23 @@ def geodetic(earth: Earth, x: float, y: float, z: float) -> Vector:
         a, e2 = earth.equatorial_radius_m, earth.flattening * (2.0 - earth.flattening)
         altitude = p * cos_lat + z * sin_lat - a * math.sqrt(1.0 - e2 * sin_lat * sin_lat)
     return math.atan2(sin_lat, cos_lat), longitude, altitude
+
+
+@entry
+def geodetic_places(earth: Records, r_m: Array, out: Array) -> None:
+    """Write the latitude, longitude (rad) and altitude (m) of positions `r_m` (n, 3) into `out` (n, 3): `geodetic`.
+
+    `earth` (1,) is of Earth. For positions in I, the longitude is the azimuth about the polar axis.
+    """
+    for k in range(len(r_m)):
+        out[k, 0], out[k, 1], out[k, 2] = geodetic(earth[0], r_m[k, 0], r_m[k, 1], r_m[k, 2])
+
+
+@entry
+def gravitations(earth: Records, r_m: Array, out: Array) -> None:
+    """Write the accelerations, m/s2, at positions `r_m` (n, 3) into `out` (n, 3): `gravitation`."""
+    for k in range(len(r_m)):
+        out[k, 0], out[k, 1], out[k, 2] = gravitation(earth[0], r_m[k, 0], r_m[k, 1], r_m[k, 2])
 
 
 @kernel

@@ -39,7 +39,7 @@ def execute(
     paths = {kind: _checked(kind, files[kind]) for kind in KINDS if kind in files}
     if (Path(place) / MANIFEST).is_file():
         return _zones(place, paths)
-    log = _log(place)
+    log = logged_flight(place, "export")
     for note in log.notes:
         tell(f"warning: {place}: {note}")
     flight = WithImpacts(log, ballistic)
@@ -88,11 +88,15 @@ def _checked(kind: str, name: str) -> Path:
     return path
 
 
-def _log(place: str) -> Log:
+def logged_flight(place: str, task: str) -> Log:
+    """Return the log at a path or in a folder. Raises CommandError for another file, and LogError.
+
+    `task` is the word for what is to be done with the log, in messages.
+    """
     path = Path(place) / LOG_NAME if Path(place).is_dir() else Path(place)
     if path.suffix != ".mcap":
         fly = f"simrun fly {shlex.quote(place)}"
-        raise CommandError(f"{place} is no log: fly the scenario first ({fly}), then export its {LOG_NAME}")
+        raise CommandError(f"{place} is no log: fly the scenario first ({fly}), then {task} its {LOG_NAME}")
     if not path.exists():
         raise LogError(f"{path}: the log cannot be read: no such file")
     return read_log(path)

@@ -12,9 +12,9 @@ import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.flight.channels import ChannelTable
-from maxq.sim.flight.metrics import STANDARD_GRAVITY_MPS2
 from maxq.sim.run.quantities import propellant_text
 from maxq.sim.scenario.schema_scenario import Scenario
+from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
 from maxq.tools.replay.flight import Channels
 from maxq.tools.replay.vehicle_shape import PLANES, VehicleShape, shape_of, shapes_at
 
@@ -111,7 +111,7 @@ class _Row:
 
 def _lateral(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:
     other = name.replace("_y_", "_z_")
-    return channels.time_ns(name), np.hypot(channels[name], channels[other]) / STANDARD_GRAVITY_MPS2
+    return channels.time_ns(name), np.hypot(channels[name], channels[other]) / STANDARD_GRAVITY_mps2
 
 
 def _distance_km(channels: Channels, name: str, shape: VehicleShape | None) -> TimesAndValues:

@@ -19,7 +19,7 @@ import rerun as rr
 from maxq.control.kernel.records import Array, IntArray
 from maxq.sim.log.messages import FramePath
 from maxq.sim.run.launch_frames import LaunchFrames
-from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
+from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
 from maxq.tools.plots.palette import BLUE, ORANGE, RED, SKY, WHITE, rgba
 from maxq.tools.replay.decimate import KeptRows, changed, every, last_before
 from maxq.tools.replay.flight import Channels, Moment, ShownLaunchSite, path_of

@@ -18,7 +18,7 @@ from maxq.sim.scenario.schema_design import Design
 from maxq.sim.vehicle.modes.tables import ModeTable
 from maxq.sim.vehicle.slosh.section import Profile
 from maxq.sim.vehicle.slosh.shapes import modes_over
-from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
+from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
 from maxq.tools.vehicle.aerodynamics import Aerodynamics, aerodynamics
 from maxq.tools.vehicle.beam import Beam, BeamMode, RigidLoad
 from maxq.tools.vehicle.layout import Layout, LayoutStage, LayoutTank, steered_boosters

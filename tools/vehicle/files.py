@@ -24,7 +24,7 @@ from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.input.values import Section
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.actuator.section import SECTIONS
-from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
+from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
 from maxq.tools.vehicle.aerodynamics import aerodynamics
 from maxq.tools.vehicle.beam import Beam, RigidLoad
 from maxq.tools.vehicle.build import Built, burning, least_rigid_hz

@@ -13,7 +13,7 @@ from scipy.interpolate import PchipInterpolator
 from maxq.control.kernel.records import Array
 from maxq.design.model.node_times import LONG_TAIL_S
 from maxq.sim.input.tables_csv import CsvTable
-from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
+from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
 from maxq.tools.vehicle.layout import (
     DryMass,
     Grain,

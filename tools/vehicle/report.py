@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maxq.sim.world.earth import STANDARD_GRAVITY_mps2
+from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
 from maxq.tools.cli.terminal import aligned, printable
 from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, on_the_pad, spread, warnings
 
