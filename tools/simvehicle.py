@@ -15,6 +15,7 @@ _EXAMPLES = """\
   simvehicle petrel                               a built-in layout, into runs/petrel
   simvehicle mine.toml --out mine                 then: simrun mine/scenario.toml
   simvehicle ksr3 --compare vehicles/ksr3         print differences from existing tables
+  simvehicle import rocket.ork --out mine         then: simvehicle mine/layout.toml
 """
 _EXITS = {
     Exit.OK: "the vehicle is written",
@@ -27,10 +28,27 @@ _EXITS = {
 
 def _parser() -> Parser:
     about = "Compute a vehicle from a layout: masses, modes, slosh, aerodynamics, pitch programme and first gains."
-    parser = Parser("simvehicle", about, _EXAMPLES, _EXITS, _build)
-    parser.option("LAYOUT", "layout file, or a built-in layout (docs/simvehicle.md)", dest="name")
-    parser.option("--out DIR", "where to write (default: runs/<name of the layout>)")
-    parser.option("--compare VEHICLE", "print differences from this vehicle (a folder, or a built-in vehicle)")
+    parser = Parser("simvehicle", about, _EXAMPLES, _EXITS)
+    parser.commands("LAYOUT", lambda name: "build")
+    examples = """\
+  simvehicle build petrel --out mine              the same as: simvehicle petrel --out mine
+"""
+    about = "Compute a vehicle from a layout"
+    build = parser.command("build", about, examples, _build, _EXITS)
+    build.option("LAYOUT", "layout file, or a built-in layout (docs/simvehicle.md)", dest="name")
+    build.option("--out DIR", "where to write (default: runs/<name of the layout>)")
+    build.option("--compare VEHICLE", "print differences from this vehicle (a folder, or a built-in vehicle)")
+    examples = """\
+  simvehicle import rocket.ork                    with the motor files next to it
+  simvehicle import rocket.ork --motor H128W=AeroTech_H128W.eng --drag cd.csv
+"""
+    about = "Make a layout of an unguided vehicle from an OpenRocket design (.ork)"
+    imported = parser.command("import", about, examples, _import)
+    imported.option("DESIGN", "OpenRocket design (.ork)")
+    imported.option("--motor FILE...", "thrust curve, .eng or .rse, also DESIGNATION=FILE; repeatable", dest="motors")
+    imported.option("--drag FILE", "axial force coefficient: lines of Mach number and coefficient (CSV)")
+    imported.option("--configuration ID", "flight configuration by identifier or name (default: that of the design)")
+    imported.option("--out DIR", "where to write layout.toml (default: runs/<name of the design>)")
     parser.about_itself({"layout": "layouts (simvehicle LAYOUT)"})
     return parser
 
@@ -45,6 +63,7 @@ def _build(name: str, *, out: str | None = None, compare: str | None = None) -> 
     from maxq.tools.vehicle.build import build, too_weak  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.compare import compared, comparison  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.figures import page  # noqa: PLC0415  # lazy
+    from maxq.tools.vehicle.files import write  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.first_gains import write_with_first_gains  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.layout import read_layout  # noqa: PLC0415  # lazy
     from maxq.tools.vehicle.report import report  # noqa: PLC0415  # lazy
@@ -54,15 +73,20 @@ def _build(name: str, *, out: str | None = None, compare: str | None = None) -> 
     check_writable(folder)
     with Progress(at_once=True) as progress:
         try:
-            built, files, gains = write_with_first_gains(build(layout, progress.show), folder, progress.show)
+            built, gains = build(layout, progress.show), None
+            if layout.unguided:
+                files = write(built, folder)
+            else:
+                built, files, gains = write_with_first_gains(built, folder, progress.show)
         except ValueError as error:
             raise ScenarioError(name, str(error)) from None
         progress.show("drawing the page", 0, 0)
-        code, outcome = Exit.OK, f"BUILT: {gains.text}"
+        text = "unguided; no gains" if gains is None else gains.text
+        code, outcome = Exit.OK, f"BUILT: {text}"
         if weak := too_weak(built):
             code, outcome = Exit.FAILED, f"TOO WEAK: {'; '.join(weak)}"
-        elif not gains.hold:
-            code, outcome = Exit.FAILED, f"UNSTABLE: {gains.text}"
+        elif gains is not None and not gains.hold:
+            code, outcome = Exit.FAILED, f"UNSTABLE: {text}"
         files.append(write_whole(folder / "vehicle.html", page(built, outcome, passed=code == Exit.OK)))
     tell(report(built))
     if compare is not None:
@@ -71,15 +95,38 @@ def _build(name: str, *, out: str | None = None, compare: str | None = None) -> 
         except ValueError as error:
             raise ScenarioError("--compare", str(error)) from None
     tell(f"\n{len(files)} files in {folder}/")
-    tell(gains.text)
+    tell(text)
     if code == Exit.OK:
         tell(f"BUILT: {layout.name}; fly it with: simrun {folder}/scenario.toml")
     elif weak:
         tell(outcome)
     else:
         what = f"design it with: simdesign {folder}/case.toml, or give another control.rigid_hz in the layout"
-        tell(f"UNSTABLE: {layout.name}; {gains.text}; {what}")
+        tell(f"UNSTABLE: {layout.name}; {text}; {what}")
     return code
+
+
+def _import(
+    design: str,
+    *,
+    motors: tuple[str, ...] = (),
+    drag: str | None = None,
+    configuration: str | None = None,
+    out: str | None = None,
+) -> int:
+    from maxq.sim.files import check_writable, plain_name  # noqa: PLC0415  # lazy
+    from maxq.tools.vehicle.airframe_layout import table_text, with_drag, write_layout  # noqa: PLC0415  # lazy
+    from maxq.tools.vehicle.openrocket import read_openrocket  # noqa: PLC0415  # lazy
+
+    airframe = read_openrocket(Path(design), motors, configuration)
+    if drag is not None:
+        airframe = with_drag(airframe, Path(drag))
+    folder = Path(out or Path("runs") / plain_name(airframe.name, "vehicle"))
+    check_writable(folder)
+    path = write_layout(airframe, folder)
+    tell(f"{airframe.name}, from {airframe.source}\n", table_text(airframe))
+    tell(f"\nIMPORTED: {path}; build it with: simvehicle {path}")
+    return Exit.OK
 
 
 command = Command("simvehicle", _run, "interrupted; nothing written")

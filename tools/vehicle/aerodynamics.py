@@ -87,17 +87,14 @@ def aerodynamics(stack: Stack) -> Aerodynamics:
     """Return the estimated or given aerodynamics of the stack that flies while a stage burns."""
     layout, stages = stack.layout, list(reversed(stack.layout.stage[stack.number :]))
     diameter = max(s.diameter_m for s in layout.stage)
-    nose = Surface(
-        "nose",
-        2.0 * (stages[0].diameter_m / diameter) ** 2 * _BODY_LIFT,
-        np.full(len(MACH), NOSE_CENTRE[layout.nose] * layout.nose_length_m),
+    nose = body_lift(
+        "nose", 2.0 * (stages[0].diameter_m / diameter) ** 2, NOSE_CENTRE[layout.nose] * layout.nose_length_m
     )
     surfaces = [nose]
     for ahead, behind in pairwise(stages):
         gained = (behind.diameter_m**2 - ahead.diameter_m**2) / diameter**2
         if gained != 0.0:
-            at = np.full(len(MACH), behind.front_station_m)
-            surfaces.append(Surface(f"step_{behind.name}", 2.0 * gained * _BODY_LIFT, at))
+            surfaces.append(body_lift(f"step_{behind.name}", 2.0 * gained, behind.front_station_m))
     planform = [(2.0 / 3.0 * layout.nose_length_m * stages[0].diameter_m, 0.6 * layout.nose_length_m)]
     for stage in stages:
         front = max(stage.front_station_m, layout.nose_length_m)
@@ -105,7 +102,8 @@ def aerodynamics(stack: Stack) -> Aerodynamics:
     roll = np.zeros(len(MACH))
     for stage in stages:
         if stage.fins is not None:
-            fins, roll_damping, area = _fins(stage.fins, stage.name, 0.5 * stage.diameter_m, diameter)
+            name, radius_m = f"fins_{stage.name}", 0.5 * stage.diameter_m
+            fins, roll_damping, area = fin_lift(stage.fins, name, radius_m, diameter)
             surfaces.append(fins)
             roll = roll + roll_damping
             planform.append((2.0 * area, float(fins.station_m[0])))
@@ -238,7 +236,12 @@ def _small_incidence(grid: GridTable, mach: Array) -> tuple[Array, Array, Array]
     return over_mach(force), over_mach(slope.get("Cm", none)), over_mach(along)
 
 
-def _fins(fins: LayoutFins, name: str, radius_m: float, reference_m: float) -> tuple[Surface, Array, float]:
+def body_lift(name: str, slope_pr: float, station_m: float) -> Surface:
+    """Return a part of the body by its normal force slope of slender-body theory, 1/rad, and its station."""
+    return Surface(name, slope_pr * _BODY_LIFT, np.full(len(MACH), station_m))
+
+
+def fin_lift(fins: LayoutFins, name: str, radius_m: float, reference_m: float) -> tuple[Surface, Array, float]:
     """Return the lifting part and Clp of a set of fins, and the planform area of one fin.
 
     The method is that of Barrowman (equations 3-57 and 3-31), with strip theory in roll. `radius_m` is the radius of
@@ -256,5 +259,5 @@ def _fins(fins: LayoutFins, name: str, radius_m: float, reference_m: float) -> t
     # the normal force of the set is that of count / 2 fins; in roll, all fins act
     roll = -2.0 * 2.0 * alone * _FIN_LIFT * square / reference_m**2
     shift = _FIN_SHIFT * 0.5 * (root + tip)
-    surface = Surface(f"fins_{name}", interference * alone * _FIN_LIFT, fins.leading_edge_station_m + centre + shift)
+    surface = Surface(name, interference * alone * _FIN_LIFT, fins.leading_edge_station_m + centre + shift)
     return surface, roll, 0.5 * (root + tip) * s

@@ -87,9 +87,10 @@ def build(layout: Layout, progress: Callable[[str, int, int], None] = lambda *_:
         progress("computing bending modes", n, len(every))
         found_modes.append(_modes(stack))
     modes, left_out = _that_count(every, found_modes, 1.0 / layout.control.sample_s)
-    progress("computing first gains", 0, 0)
     found = Built(layout, every, aero, modes, flight, [], left_out)
-    found.gains.extend(_gains(found))
+    if not layout.unguided:
+        progress("computing first gains", 0, 0)
+        found.gains.extend(_gains(found))
     found.assumed.extend(_assumed(found))
     return found
 
@@ -313,10 +314,13 @@ def _assumed(built: Built) -> list[str]:
         factor = f", times {layout.axial_factor:g}" if layout.axial_factor != 1.0 else ""
         lines.append(f"axial force: a curve of a clean launcher over Mach number{factor}")
         lines.append("normal force: slender-body theory and Barrowman's fins, with an assumed Mach correction")
-    lines += [
-        "propellants drain in proportion to their load; liquids contribute to the roll inertia only via roll_share",
-        f"first gains: rigid body with {first_hz} Hz and damping ratio {layout.control.rigid_zeta:g}, M_alpha included",
-    ]
+    lines.append(
+        "propellants drain in proportion to their load; liquids contribute to the roll inertia only via roll_share"
+    )
+    if layout.unguided:
+        return lines
+    zeta = layout.control.rigid_zeta
+    lines.append(f"first gains: rigid body with {first_hz} Hz and damping ratio {zeta:g}, M_alpha included")
     jet = f"{layout.site.jet_mps:g} m/s at 11 km"
     lines.append(f"limit wind of the suite: from the west, {jet}; replace it by that of your site")
     for stack in built.stacks:
@@ -341,7 +345,9 @@ INCIDENCE_deg = 5.0
 
 def too_weak(built: Built) -> list[str]:
     """Return a line for each stack whose gimbals cannot hold an angle of attack of `INCIDENCE_deg` at full thrust."""
-    out = []
+    out = list[str]()
+    if built.layout.unguided:
+        return out
     for n, stack in enumerate(built.stacks):
         worst = max(burning(built, n), key=lambda p: m_alpha_1ps2(built, p) / m_delta_1ps2(built, p))
         needed = INCIDENCE_deg * m_alpha_1ps2(built, worst) / m_delta_1ps2(built, worst)
@@ -355,7 +361,7 @@ def warnings(built: Built) -> list[str]:
     """Return a line for each value that is possible, but unusual."""
     out, half_hz = [], 0.5 / built.layout.control.sample_s
     for stack, (_, modes) in zip(built.stacks, built.modes, strict=True):
-        for k, mode in enumerate(modes[0]):
+        for k, mode in enumerate([] if built.layout.unguided else modes[0]):
             if mode.frequency_hz > half_hz:
                 what = f"mode {k + 1} at {mode.frequency_hz:.1f} Hz is above half the sample rate, {half_hz:g} Hz"
                 out.append(f"{stack.name}: {what}")
@@ -370,8 +376,26 @@ def warnings(built: Built) -> list[str]:
                 holds = f"the stage holds {stage.usable_kg:.4g} kg"
                 out.append(f"{stage.name}: its thrust file burns {burned:.4g} kg, {holds}")
         out += [f"{stage.name}: {line}" for line in _unusual_grains(stage)]
-    if built.mode_1_hz < 6.0 * MOST_RIGID_HZ:
+    out += [f"{built.stacks[n].name}: {line}" for n, line in _unstable(built)]
+    if not built.layout.unguided and built.mode_1_hz < 6.0 * MOST_RIGID_HZ:
         out.append(f"mode 1 at {built.mode_1_hz:.2f} Hz is less than six times the rigid body's {MOST_RIGID_HZ:g} Hz")
+    return out
+
+
+def static_margin(built: Built, p: TrajectoryPoint) -> float:
+    """Return the distance of the centre of pressure behind the CG at a point of the ascent, in largest diameters."""
+    aero = built.aero[p.number]
+    return (aero.normal(p.mach)[1] - built.stacks[p.number].mass_properties(p.clock_s).x_cg_m) / aero.diameter_m
+
+
+def _unstable(built: Built) -> list[tuple[int, str]]:
+    """Return the stacks of an unguided vehicle with a static margin below one diameter, with its least value."""
+    out = []
+    for n in range(len(built.stacks) if built.layout.unguided else 0):
+        points = burning(built, n)
+        worst = min(points, key=lambda p: static_margin(built, p))
+        if (margin := static_margin(built, worst)) < 1.0:
+            out.append((n, f"static margin {margin:.2f} diameters at {worst.time_s:.1f} s, usual are 1 and more"))
     return out
 
 

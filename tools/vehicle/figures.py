@@ -42,7 +42,8 @@ def page(built: Built, outcome: str, *, passed: bool) -> str:
     """
     layout, first = built.layout, built.stacks[0]
     front, rear = layout.stage[-1].front_station_m, max(s.engine.exit_station_m for s in layout.stage)
-    plots = [_vehicle(built), _masses(built), _aerodynamics(built), _control(built), _ascent(built)]
+    control = [] if layout.unguided else [_control(built)]
+    plots = [_vehicle(built), _masses(built), _aerodynamics(built), *control, _ascent(built)]
     if any(modes[0] for _, modes in built.modes):
         plots.append(_modes(built))
     return render(
@@ -52,7 +53,7 @@ def page(built: Built, outcome: str, *, passed: bool) -> str:
         outcome_line=outcome,
         passed=passed,
         facts=(
-            ("mass at liftoff", f"{first.mass_properties(first.begins_s).mass_kg / 1e3:.4g} t"),
+            ("mass at liftoff", _mass_text(first.mass_properties(first.begins_s).mass_kg)),
             ("length", f"{rear - front:.4g} m"),
             ("largest diameter of the core", f"{max(s.diameter_m for s in layout.stage):.4g} m"),
         ),
@@ -61,6 +62,10 @@ def page(built: Built, outcome: str, *, passed: bool) -> str:
         numbers=numbers,
         meanings={_HEADS.get(head, head): meaning for head, meaning in MEANINGS.items()},
     )
+
+
+def _mass_text(mass_kg: float) -> str:
+    return f"{mass_kg / 1e3:.4g} t" if mass_kg >= 1e3 else f"{mass_kg:.4g} kg"
 
 
 def _vehicle(built: Built) -> Plot:
@@ -73,7 +78,7 @@ def _vehicle(built: Built) -> Plot:
         bodies.append(line([rear, rear], [-r, r], "rear end of the fairing", colour="purple", dash="6 3"))
     hardest = max((p for p in burning(built) if p.number == 0), key=lambda p: p.dynamic_pressure_Pa)
     cg_m = [(name, first.mass_properties(t).x_cg_m) for name, t in (("liftoff", 0.0), ("burnout", burn.end_s))]
-    marks = [("gyro", layout.control.gyro_station_m, "green")]
+    marks = [] if layout.unguided else [("gyro", layout.control.gyro_station_m, "green")]
     marks += [(f"CG at {name}" + f" of {first.name}" * (name == "burnout"), station, "ink") for name, station in cg_m]
     marks.append((f"CP at Mach {hardest.mach:.1f}", built.aero[0].normal(hardest.mach)[1], "red"))
     caption = "To scale. Dark: propellant at liftoff; pale: tanks. Nozzles have the width of their exits."

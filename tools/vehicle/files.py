@@ -29,7 +29,7 @@ from maxq.tools.vehicle.aerodynamics import aerodynamics
 from maxq.tools.vehicle.beam import Beam, RigidLoad
 from maxq.tools.vehicle.build import Built, burning, least_rigid_hz
 from maxq.tools.vehicle.campaign import LIMIT_WIND, campaign_of
-from maxq.tools.vehicle.layout import LayoutEngines, LayoutNozzles, LayoutTank, LayoutThrust, steered_boosters
+from maxq.tools.vehicle.layout import Layout, LayoutEngines, LayoutNozzles, LayoutTank, LayoutThrust, steered_boosters
 from maxq.tools.vehicle.masses import Stack, engine_inertia
 from maxq.tools.vehicle.trajectory import TrajectoryPoint
 
@@ -54,21 +54,22 @@ def write(built: Built, folder: Path) -> list[Path]:
     the layout rejects, but one of the vehicle.
     """
     layout, files = built.layout, []
-    tables: Tables = {"pitch_programme.csv": _programme(built)}
+    tables: Tables = {} if layout.unguided else {"pitch_programme.csv": _programme(built)}
     vehicle = _vehicle(built, tables)
-    tables["limit_wind.csv"] = _limit_wind(layout.site.jet_mps)
+    if not layout.unguided:
+        tables["limit_wind.csv"] = _limit_wind(layout.site.jet_mps)
     for name, (head, rows) in tables.items():
         text = "\n".join([head, *(",".join(f"{v:{DIGITS}}" for v in row) for row in rows)]) + "\n"
         files.append(write_whole(folder / "vehicle" / name, text))
     made = f"# {layout.name}: an estimate from a layout by simvehicle, to begin with.\n"
-    documents = {
-        "vehicle/vehicle.toml": _rounded(vehicle),
-        "design.toml": _design(built),
-        "scenario.toml": _scenario(built),
-        CAMPAIGN: campaign_of(built),
-        "case.toml": _case(built),
-        "suite.toml": _suite(built),
-    }
+    documents = {"vehicle/vehicle.toml": _rounded(vehicle), "scenario.toml": _scenario(built)}
+    if not layout.unguided:
+        documents |= {
+            "design.toml": _design(built),
+            CAMPAIGN: campaign_of(built),
+            "case.toml": _case(built),
+            "suite.toml": _suite(built),
+        }
     for name, content in documents.items():
         files.append(write_whole(folder / name, made + tomli_w.dumps(content)))
     if built.design is not None:
@@ -282,7 +283,7 @@ def _programme(built: Built) -> CsvFile:
 
 def _vehicle(built: Built, tables: Tables) -> dict[str, Any]:
     layout, widest = built.layout, max(s.diameter_m for s in built.layout.stage)
-    control, first = layout.control, layout.stage[0].engine
+    first = layout.stage[0].engine
     return {
         "schema": 1,
         "name": layout.name,
@@ -293,15 +294,19 @@ def _vehicle(built: Built, tables: Tables) -> dict[str, Any]:
             "area_m2": 0.25 * math.pi * widest**2,
         },
         "stage": [_stage(built, n, tables) for n in range(len(built.stacks))],
-        "computer": {
-            "sample_s": control.sample_s,
-            "delay_s": control.delay_s,
-            "count_rad": 1e-5,
-            "dac_step_deg": 0.001,
-            "attitude": "quaternion",
-            "angle_error_limit_deg": 20.0,
-            "command_limit_deg": min(s.engine.angle_limit_deg for s in layout.stage),
-        },
+        **({} if layout.unguided else {"computer": _computer(layout)}),
+    }
+
+
+def _computer(layout: Layout) -> dict[str, Any]:
+    return {
+        "sample_s": layout.control.sample_s,
+        "delay_s": layout.control.delay_s,
+        "count_rad": 1e-5,
+        "dac_step_deg": 0.001,
+        "attitude": "quaternion",
+        "angle_error_limit_deg": 20.0,
+        "command_limit_deg": min(s.engine.angle_limit_deg for s in layout.stage),
     }
 
 
@@ -316,15 +321,12 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
     for tank in stage.tank:
         left = ((stack.liquid_kg(tank, t),) for t in _times_s(stack))
         tables[f"{shared}tank_{tank.name}.csv"] = _over_time(stack, "liquid_mass_kg", left)
-    mass, arm, inertia = engine_inertia(e)
     engine = {
         "table": f"{shared}thrust.csv",
         "exit_area_m2": e.exit_area_m2,
         "gimbal_station_m": e.gimbal_station_m,
         "exit_station_m": e.exit_station_m,
-        "gimballed_mass_kg": mass,
-        "cg_from_gimbal_m": arm,
-        "inertia_about_gimbal_kgm2": inertia,
+        **_swinging(e),
         **_of_motor(e),
     }
     many = len(e.positions_m) > 1
@@ -353,8 +355,14 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
         (name, s.booster.engine) for s in stack.boosters for name in s.booster.names if name in stack.moving_boosters
     ]
     listed = steered_boosters(stage) or len(groups) > 1
-    actuators = [group | _actuator(e) for group in groups] + [{"group": name} | _actuator(b) for name, b in moving]
-    out["actuator"] = actuators if listed else actuators[0]
+    fixed = e.gimbal == "fixed"
+    actuators = (
+        []
+        if fixed
+        else [group | _actuator(e) for group in groups] + [{"group": name} | _actuator(b) for name, b in moving]
+    )
+    if actuators:
+        out["actuator"] = actuators if listed else actuators[0]
     if e.tvc_load is not None:
         load = _copied(e.tvc_load, f"{prefix}tvc_load", tables)
         out["tvc_load"] = [group | load for group in groups] if moving else load
@@ -375,6 +383,8 @@ def _stage(built: Built, n: int, tables: Tables) -> dict[str, Any]:
     out["gyro"] = {"station_m": control.gyro_station_m, **lag}
     if control.accelerometer_station_m is not None:
         out["accelerometer"] = {"station_m": control.accelerometer_station_m, **lag}
+    if fixed:
+        return out
     roll = stage.roll_torque_Nm or math.radians(5.0) * stack.mass_properties(0.0).roll_kgm2
     out["roll_thrusters"] = {"torque_Nm": roll}
     if built.layout.trajectory.restart and stage is built.layout.stage[-1]:
@@ -416,7 +426,7 @@ def _tank(t: LayoutTank, table: str) -> dict[str, Any]:
 
 
 def _swinging(e: LayoutNozzles) -> dict[str, Any]:
-    """Return the keys of a booster's engine that depend on its gimbal."""
+    """Return the keys of an engine that depend on its gimbal."""
     if e.gimbal == "fixed":
         return {"gimbal": "fixed"}
     mass, arm, inertia = engine_inertia(e)
@@ -544,6 +554,23 @@ def _requirements(built: Built) -> list[dict[str, Any]]:
 
 def _scenario(built: Built) -> dict[str, Any]:
     site, last = built.layout.site, built.flight.points[-1]
+    place = {
+        "latitude_deg": site.latitude_deg,
+        "longitude_deg": site.longitude_deg,
+        "altitude_m": site.altitude_m,
+        "azimuth_deg": built.layout.azimuth_deg,
+    }
+    if (rail := built.layout.rail) is not None:
+        rise_s = 2.0 * last.speed_mps / STANDARD_GRAVITY_mps2  # without drag, gravity falls to a half at 2600 km
+        return {
+            "schema": 1,
+            "name": built.layout.name,
+            "description": f"{built.layout.name}, unguided flight to the apogee without wind",
+            "vehicle": "vehicle",
+            "run": {"duration_s": float(math.ceil(last.time_s + 5.0 + rise_s)), "stop_at": ["apogee", "impact"]},
+            "site": place,
+            "rail": _copied(rail, "rail", {}),
+        }
     return {
         "schema": 1,
         "name": built.layout.name,
@@ -551,12 +578,7 @@ def _scenario(built: Built) -> dict[str, Any]:
         "vehicle": "vehicle",
         "design": "design.toml",
         "run": {"duration_s": float(math.ceil(last.time_s + 5.0 + _coasts_s(built)))},
-        "site": {
-            "latitude_deg": site.latitude_deg,
-            "longitude_deg": site.longitude_deg,
-            "altitude_m": site.altitude_m,
-            "azimuth_deg": built.layout.azimuth_deg,
-        },
+        "site": place,
         "guidance": {"programme": "vehicle/pitch_programme.csv", **_closed_loop(built)},
         "requirement": _requirements(built),
     }

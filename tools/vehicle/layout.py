@@ -20,7 +20,7 @@ from maxq.sim.input.foreign import RASP
 from maxq.sim.input.tables_csv import Columns, CsvTable
 from maxq.sim.input.values import Fraction, NotNegative, Pair, Positive, Section, optional
 from maxq.sim.scenario.loader import load_file
-from maxq.sim.scenario.schema_launch import Restart
+from maxq.sim.scenario.schema_launch import Rail, Restart
 from maxq.sim.vehicle.actuator.section import SECTIONS
 from maxq.sim.vehicle.air.section import AeroSection
 from maxq.sim.vehicle.loads.section import SectionStations, check_stations
@@ -193,7 +193,7 @@ class LayoutThrust(Section):
 
 
 class LayoutEngines(LayoutThrust):
-    """The engines of a stage, all equal. Several engines form groups to the left and right of the axis, and on it."""
+    """Equal engines with their gimbals and actuators."""
 
     gimballed_mass_kg: NotNegative | None = optional("gimballed mass of each, kg (default: 0.8 of mass_kg)")
     cg_from_gimbal_m: NotNegative | None = optional("its CG aft of the gimbal, m (default: 0.3 of the length)")
@@ -229,12 +229,30 @@ class LayoutNozzles(LayoutEngines):
 
     def _check(self) -> None:
         super()._check()
+        self._check_fixed()
+        if self.tvc_load is not None:
+            raise refuse("boosters follow their actuators", "none", "tvc_load", value={})
+
+    def _check_fixed(self) -> None:
         moving = [name for name in LayoutEngines.model_fields if name not in LayoutThrust.model_fields]
         for name in moving:
             if self.gimbal == "fixed" and name in self.model_fields_set:
                 raise refuse("has no meaning here", "this key with gimbal = 'both' only", name)
-        if self.tvc_load is not None:
-            raise refuse("boosters follow their actuators", "none", "tvc_load", value={})
+
+
+class StageEngines(LayoutNozzles):
+    """The engines of a stage, all equal. Several engines form groups to the left and right of the axis, and on it."""
+
+    gimbal: Literal["both", "fixed"] = optional("fixed, in every stage: the vehicle flies unguided from a rail", "both")
+    mass_kg: NotNegative = Field(
+        description="mass of each, kg, between gimbal and exit; with fixed nozzles, 0 if the motor is among the parts"
+    )
+
+    def _check(self) -> None:
+        LayoutEngines._check(self)
+        self._check_fixed()
+        if self.gimbal == "both" and self.mass_kg == 0.0:
+            raise refuse("a gimballed engine has mass", "a number > 0", "mass_kg", value=0.0)
 
 
 class LayoutFins(Section):
@@ -307,7 +325,7 @@ class LayoutStage(Between):
     shell: tuple[Shell, ...] = Field(min_length=1, description="structure from the front to the rear of the stage")
     tank: tuple[LayoutTank, ...] = optional("tanks with liquid propellant", (), max_length=MAX_PENDULUMS)
     grain: tuple[Grain, ...] = optional("solid propellant", ())
-    engine: LayoutEngines
+    engine: StageEngines
     booster: tuple[LayoutBooster, ...] = optional("boosters attached to the first stage", ())
     fins: LayoutFins | None = optional("absent: none")
     aero: AeroSection | None = optional("as in a vehicle file, instead of computed values (CSV, DATCOM's for006)")
@@ -444,9 +462,15 @@ class Layout(Section):
     trajectory: Trajectory = Trajectory()
     control: Control
     fairing: Fairing | None = optional("absent: none, or never dropped")
+    rail: Rail | None = optional("launch rail of an unguided vehicle, whose engines all have gimbal = 'fixed'")
     stage: tuple[LayoutStage, ...] = Field(
         min_length=1, max_length=MAX_STAGES, description="stages in the order of flight"
     )
+
+    @property
+    def unguided(self) -> bool:
+        """Return True if no engine of a stage moves."""
+        return all(stage.engine.gimbal == "fixed" for stage in self.stage)
 
     @property
     def azimuth_deg(self) -> float:
@@ -487,6 +511,7 @@ class Layout(Section):
             count = len(stage.booster)
             if n > 0 and count:
                 raise refuse("only the first stage has boosters", "none", ("stage", n, "booster"), value=count)
+        self._check_guidance()
         if self.trajectory.orbit_altitude_m is not None and len(self.stage) == 1:
             raise refuse(
                 "a single stage does not steer to an orbit", "two stages or more", ("trajectory", "orbit_altitude_m")
@@ -500,6 +525,20 @@ class Layout(Section):
                 raise refuse(
                     "is not in the last stage", f"0 .. {last.rear_station_m:g}", ("control", key), value=station
                 )
+
+    def _check_guidance(self) -> None:
+        """Check that all stages have gimbals, or none and a rail."""
+        for n, stage in enumerate(self.stage):
+            if not self.unguided and stage.engine.gimbal == "fixed":
+                allowed = "gimbal = 'both', or 'fixed' in every stage"
+                raise refuse("other stages have gimbals", allowed, ("stage", n, "engine", "gimbal"), value="fixed")
+        if self.unguided != (self.rail is not None):
+            problem = "an unguided vehicle needs a rail" if self.rail is None else "engines on gimbals steer from a pad"
+            raise refuse(problem, "with gimbal = 'fixed' in every stage", ("rail",), value=None)
+        if self.unguided and self.trajectory.orbit_altitude_m is not None:
+            raise refuse("an unguided vehicle does not steer", "none", ("trajectory", "orbit_altitude_m"))
+        if self.unguided and any(stage.booster for stage in self.stage):
+            raise refuse("an unguided vehicle has no boosters", "none", ("stage", 0, "booster"))
 
 
 def read_layout(name: str | Path) -> Layout:

@@ -9,7 +9,16 @@ import numpy as np
 
 from maxq.sim.world.constants import STANDARD_GRAVITY_mps2
 from maxq.tools.cli.terminal import aligned, printable
-from maxq.tools.vehicle.build import Built, burning, m_alpha_1ps2, m_delta_1ps2, on_the_pad, spread, warnings
+from maxq.tools.vehicle.build import (
+    Built,
+    burning,
+    m_alpha_1ps2,
+    m_delta_1ps2,
+    on_the_pad,
+    spread,
+    static_margin,
+    warnings,
+)
 
 LayoutRows = list[tuple[str, ...]]  # the first row is the head
 
@@ -38,6 +47,7 @@ MEANINGS = {
     "q, kPa": "dynamic pressure",
     "CG, m": "station of the centre of gravity, aft of the nose",
     "CP, m": "station of the centre of pressure, aft of the nose",
+    "static margin": "distance of the centre of pressure behind the centre of gravity, in largest diameters",
     "M_alpha, 1/s2": "angular acceleration per angle of attack; above 0, the vehicle is unstable",
     "M_delta, 1/s2": "angular acceleration per gimbal angle",
     "k_p": "first gain from attitude error to gimbal command",
@@ -76,13 +86,14 @@ def _stages(built: Built) -> LayoutTable:
     rows: LayoutRows = [("stage", "from, kg", "to, kg", "burn, s", "T/W", "dv, m/s", "v, m/s", "h, km", "path, deg")]
     for n, stack in enumerate(built.stacks):
         first, last = (stack.mass_properties(t).mass_kg for t in (stack.begins_s, stack.end_s))
+        digits = 0 if first >= 100.0 else 3
         point = [p for p in built.flight.points if p.number == n][-1]
         gained = stack.impulse_Ns / (first - last) * math.log(first / last)
         rows.append(
             (
                 stack.name,
-                f"{first:.0f}",
-                f"{last:.0f}",
+                f"{first:.{digits}f}",
+                f"{last:.{digits}f}",
                 f"{stack.end_s - max(stack.begins_s, stack.burn.start_s):.1f}",
                 f"{stack.largest_thrust_N / first / STANDARD_GRAVITY_mps2:.2f}",
                 f"{gained:.0f}",
@@ -117,6 +128,8 @@ def _modes(built: Built) -> LayoutTable:
 def _control(built: Built) -> LayoutTable:
     heads = ("time, s", "stage", "Mach", "q, kPa", "CG, m", "CP, m", "M_alpha, 1/s2", "M_delta, 1/s2", "k_p", "k_d, s")
     rows: LayoutRows = [heads]
+    if built.layout.unguided:
+        return _stability(built)
     gains = np.array(built.gains)
     for n, stack in enumerate(built.stacks):
         for p in spread(burning(built, n), 6):
@@ -126,3 +139,14 @@ def _control(built: Built) -> LayoutTable:
             turn = (f"{m_alpha_1ps2(built, p):.3f}", f"{m_delta_1ps2(built, p):.3f}", f"{k_p:.3f}", f"{k_d:.3f}")
             rows.append((f"{p.time_s:.1f}", stack.name, *cells, *turn))
     return LayoutTable("Control", "unstable where M_alpha > 0", rows, "Stability, control authority and first gains.")
+
+
+def _stability(built: Built) -> LayoutTable:
+    rows: LayoutRows = [("time, s", "stage", "Mach", "q, kPa", "CG, m", "CP, m", "static margin", "M_alpha, 1/s2")]
+    for n, stack in enumerate(built.stacks):
+        for p in spread(burning(built, n), 6):
+            cg, cp = stack.mass_properties(p.clock_s).x_cg_m, built.aero[n].normal(p.mach)[1]
+            cells = (f"{p.mach:.2f}", f"{p.dynamic_pressure_Pa / 1e3:.2f}", f"{cg:.3f}", f"{cp:.3f}")
+            margin = f"{static_margin(built, p):z.2f}"
+            rows.append((f"{p.time_s:.2f}", stack.name, *cells, margin, f"{m_alpha_1ps2(built, p):z.2f}"))
+    return LayoutTable("Static stability", "static margin in diameters; stable above 0", rows, "Static stability.")

@@ -204,13 +204,25 @@ class _Model:
         if n == 0 and speed <= 0.0 and accel < 0.0:
             accel = 0.0  # on the pad
         fast = max(speed, _LEAST_SPEED_mps)
-        push, share = self._pitch_over(begin_s + t) if self.stacks[n].number == 0 else (0.0, 1.0)
+        push, share = self._commanded_turn(n, begin_s + t, altitude)
         turn = push + share * self._free(radius, fast, path, gravity) + thrust * math.sin(incidence) / (mass * fast)
         return speed * math.cos(path) * place.radius_m / radius, speed * math.sin(path), accel, turn
 
     def _free(self, radius: float, speed: float, path: float, gravity: float) -> float:
         """Return the turn rate of the path by gravity, the Earth's curvature and its rotation (Coriolis), rad/s."""
         return (speed / radius - gravity / speed) * math.cos(path) + 2.0 * self.place.spin_radps
+
+    def _commanded_turn(self, n: int, time_s: float, altitude: float) -> tuple[float, float]:
+        """Return the turn rate by the pitch-over, rad/s, and the share of the free turn that acts: none on a rail."""
+        if (rail := self.layout.rail) is not None:
+            rise_m = rail.length_m * math.sin(self.launch_path_rad)
+            return 0.0, 0.0 if altitude - self.layout.site.altitude_m < rise_m else 1.0
+        return self._pitch_over(time_s) if self.stacks[n].number == 0 else (0.0, 1.0)
+
+    @cached_property
+    def launch_path_rad(self) -> float:
+        """Return the path angle at liftoff: that of the rail, or vertical."""
+        return 0.5 * math.pi if self.layout.rail is None else math.radians(self.layout.rail.elevation_deg)
 
     def _pitch_over(self, time_s: float) -> tuple[float, float]:
         """Return the turn rate of the pitch-over (a raised cosine, rad/s), and the share of the free turn that acts.
@@ -227,7 +239,7 @@ class _Model:
         reach, altitude, speed, path = y
         thrust, steered, _, q, mach = self.acts(n, t, altitude, speed)
         time_s, radius = begin_s + t, self.place.radius_m + altitude
-        push, share = self._pitch_over(time_s) if self.stacks[n].number == 0 else (0.0, 1.0)
+        push, share = self._commanded_turn(n, time_s, altitude)
         gravity = self.place.gravity_mps2(radius, reach / self.place.radius_m) - self.place.spin_radps**2 * radius
         excess = push + (share - 1.0) * self._free(radius, max(speed, _LEAST_SPEED_mps), path, gravity)
         if time_s <= self.layout.trajectory.pitch_over_start_s:
@@ -245,7 +257,7 @@ class _Model:
         """
         fairing, wanted = self.layout.fairing, self.layout.trajectory
         jettison_m = math.inf if fairing is None else fairing.jettison_altitude_m
-        y: TrajectoryState = (0.0, self.layout.site.altitude_m, 0.0, 0.5 * math.pi)
+        y: TrajectoryState = (0.0, self.layout.site.altitude_m, 0.0, self.launch_path_rad)
         time_s, kept, begins, dropped = 0.0, list[TrajectoryPoint](), list[float](), None
 
         def above(_: float, y: Array) -> float:
@@ -340,7 +352,9 @@ def ascent(layout: Layout, stacks: Sequence[Stack], aero: Sequence[Aerodynamics]
     thrust = model.acts(0, 0.5 * (begin + end), layout.site.altitude_m, 0.0)[0]
     if thrust <= 1.02 * weight:
         raise ValueError(f"the first stage pushes {thrust:.4g} N at the ground and weighs {weight:.4g} N")
-    if wanted.orbit_altitude_m is None:
+    if layout.unguided:
+        pass
+    elif wanted.orbit_altitude_m is None:
         _turn_to(model, math.radians(wanted.final_path_angle_deg))
     else:
         _steer_to(model, wanted.orbit_altitude_m)
