@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import platform
 import socket
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from flight_code import compiled, flies, needs_compiler
 
@@ -137,6 +139,7 @@ def run(*computer: str) -> int:
         {"STEP": AFTER},
         {"STEP": BEFORE},
         {"STEP": "memset(out + 1, 255, 65536)"},
+        {"STEP": "memset((char *)out - 65536, 255, 65536)"},
         {"STEP": "scale((double *)(in + 1), 1)"},
         {"STEP": "scale((double *)(out + 1), 1)"},
         {"STEP": "memset((char *)self + 256, 1, 1)"},
@@ -157,6 +160,13 @@ def test_writing_beyond_the_own_structs_is_a_crash_of_the_code(
     assert f"crashed {'at its start' if starting else 'in its step'}: SIGSEGV, access to memory that is not its" in last
     if not starting:
         assert "FAILED: flight software at 0.510 s" in last
+
+
+@needs_compiler
+def test_writing_shortly_before_the_own_structs_changes_nothing() -> None:
+    """The bytes before the outputs and the inputs, in the same page, are not used by the simulator."""
+    step = "memset((char *)out - 256, 255, 256); memset((char *)in - 256, 255, 256)"
+    assert flown(*attacking(STEP=step)).state_hash == flown(*attacking()).state_hash
 
 
 @needs_compiler
@@ -242,6 +252,24 @@ def test_the_rounding_of_the_code_is_its_own(guard: str) -> None:
     # The commands differ by a rounding at most, which the output converter removes: a leak would change the states
     assert {f.state_hash for f in rounded.values()} == {plain.state_hash}
     assert 1.0 + 2.0**-53 == 1.0  # rounds to nearest in this process
+
+
+@needs_compiler
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="sets the register MXCSR of x86-64")
+@pytest.mark.parametrize("place", ["INIT", "STEP"])
+def test_the_flush_to_zero_of_the_code_is_its_own(place: str) -> None:
+    """Code without a guard, as if linked with -ffast-math, does not change denormal numbers in this process."""
+    least, half = np.float64(2.0**-1073), np.float64(0.5)
+    assert flown(*attacking(**{place: "__builtin_ia32_ldmxcsr(0x9fc0)"}), "vehicle.computer.guard=false").failures == ()
+    assert least * half == 2.0**-1074
+
+
+@needs_compiler
+@needs_linux
+def test_a_floating_point_trap_of_the_code_is_in_its_step() -> None:
+    """The simulator's arithmetic between two samples is inexact too, but has no trap."""
+    flight = flown(*attacking(STEP="feenableexcept(FE_INEXACT)"))
+    assert flight.failures == ("flight software at 0.520 s: crashed in its step: SIGFPE",)
 
 
 def test_python_code_does_not_change_the_rounding_of_the_simulator() -> None:
@@ -338,6 +366,18 @@ def test_an_error_at_the_end_of_python_code_is_reported(caplog: pytest.LogCaptur
     )
     assert flown(*flies(python="own.py:Autopilot", guard=guard)).outcome == "duration"
     assert caplog.messages[-1].endswith(f"after the flight: OSError: disk full, guard {guard} (own.py, line 4)")
+
+
+def test_python_code_that_does_not_return_from_close_is_ended(caplog: pytest.LogCaptureFixture) -> None:
+    Path("own.py").write_text(
+        "import time\n"
+        "class Waits:\n"
+        "    def __init__(self, setup): pass\n"
+        "    def step(self, inputs): return {}\n"
+        "    def close(self): time.sleep(3600)\n"
+    )
+    assert flown(*flies(python="own.py:Waits", timeout_s=1)).outcome == "duration"
+    assert "own.py:Waits failed at its end, after the flight: did not return within 1 s at its end" in caplog.messages[-1]
 
 
 @pytest.mark.parametrize("value", ["10**30", "2**64 + 1", "-2**63 - 1"])

@@ -31,6 +31,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,7 +40,7 @@ import numpy as np
 from maxq.control.kernel.records import Array
 from maxq.design.certificate import measured_margins
 from maxq.design.certificate.excitation import sine_burst
-from maxq.design.certificate.held_flight import HeldFlight, hold
+from maxq.design.certificate.held_flight import CodeDiffers, CodeLost, HeldFlight, hold
 from maxq.design.certificate.measured_margins import amplitude
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop, close_loop, loops
@@ -127,8 +128,8 @@ class SloshAdvice:
     closed loop is marginally stable, or 0 if none is needed. `wave_m` and `midway_wave_m` are the wave heights at which
     the baffles `NEAR` and `MIDWAY` provide this damping. `midway_deg` is the swing of the latter, which is the
     amplitude of the limit cycle. `flown_growth_1ps` is the growth rate of a burst in flight with the damping needed.
-    `flown_deg` is the amplitude of the limit cycle in flight with the midway ring, or NaN if it was not flown or did
-    not settle.
+    `flown_deg` is the amplitude of the limit cycle in flight with the midway ring. Both are NaN if they were not flown;
+    `flown_deg` also if it did not settle.
     """
 
     time_s: float
@@ -229,9 +230,19 @@ def _oscillating(loop: Loop) -> ComplexArray:
 
 
 def confirm(loaded: LoadedScenario, node: Node, advice: SloshAdvice) -> SloshAdvice:
-    """Fly the held vehicle excited at the slosh frequency, with the required damping and with the midway ring."""
+    """Fly the held vehicle excited at the slosh frequency, with the required damping and with the midway ring.
+
+    External flight code that loses control before the operating point, or fails the replay check, leaves the advice
+    unconfirmed.
+    """
     if not 0.0 < advice.needed < math.inf:
         return advice
+    with suppress(CodeDiffers, CodeLost):
+        return _confirmed(loaded, node, advice)
+    return advice
+
+
+def _confirmed(loaded: LoadedScenario, node: Node, advice: SloshAdvice) -> SloshAdvice:
 
     def fault(packed: Packed) -> None:
         _damp(packed.parameters[0].vehicle.slosh, advice.tank, advice.needed)
