@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +16,9 @@ from maxq.control.kernel.records import Array
 from maxq.sim.campaign.calibration import Calibration, Interrupted, Options, calibrate, parameters_of, with_noise
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
-from maxq.sim.run.fly import fly
-from maxq.sim.run.measured import Measured, MeasuredChannel
+from maxq.sim.packing.flight import pack_flight
+from maxq.sim.run.fly import fly, logged_channels
+from maxq.sim.run.measured import Measured, MeasuredChannel, read_measured
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 
@@ -172,6 +175,46 @@ def test_an_interrupted_calibration_continues_with_the_same_bits(
     assert again.flights == found.flights - stored
     assert again.scores.tobytes() == found.scores.tobytes()
     assert again.covariance.tobytes() == found.covariance.tobytes()
+
+
+SHOT = """
+schema = 1
+extends = "checkcases/nesc-09"
+[campaign]
+runs = 10
+[run]
+step_s = 0.01
+[[disperse]]
+key = "vehicle.stage.0.aero.axial_factor"
+distribution = "normal"
+mean = 0.9
+three_sigma = 0.6
+[[disperse]]
+key = "initial.ned_mps.2"
+distribution = "normal"
+mean = -300.0
+three_sigma = 30.0
+"""
+
+
+def test_drag_and_speed_of_a_published_shot_are_found(tmp_path: Path) -> None:
+    """NASA's series of check case 9: a sphere shot eastward and up at 1000 ft/s each, with drag. The prior is wrong."""
+    with gzip.open(Path(__file__).parent / "data" / "nesc" / "nesc-09.csv.gz", "rt") as file:
+        (tmp_path / "shot.csv").write_text(file.read())
+    (tmp_path / "shot.toml").write_text(SHOT)
+    campaign = load_campaign(tmp_path / "shot.toml")
+    scenario = campaign.base.scenario
+    table = logged_channels(scenario, pack_flight(scenario).sizes)
+    aliases = {"altitudeMsl_ft": "altitude_m"}
+    measured = read_measured(tmp_path / "shot.csv", table, None, aliases, {"altitude_m": 0.05, "mach": 1e-4})
+    measured = replace(measured, channels=tuple(c for c in measured.channels if c.name in ("altitude_m", "mach")))
+    found = calibrate(campaign, measured, tmp_path / "flights")
+    drag, climb = found.parameters
+    assert found.converged
+    assert drag.value == pytest.approx(1.0, abs=1e-3)
+    assert climb.value == pytest.approx(-304.8, abs=0.03)
+    assert [each.rms for each in found.after] == pytest.approx([0.0, 0.0], abs=0.1)
+    assert found.before[0].rms > 100.0 * found.after[0].rms
 
 
 def test_noise_is_estimated_from_second_differences() -> None:

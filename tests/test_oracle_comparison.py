@@ -210,10 +210,10 @@ def test_the_command_writes_its_record_and_judges_limits(
     file.write_text("\n".join(["time_s,Altitude (ft)", *rows]) + "\n")
     given = ["compare", str(folder), str(file), "--out", str(tmp_path / "out")]
     assert simrun.main([*given, "--limit", "altitude_m=20"]) == 0
-    assert "PASSED: altitude_m: largest residual " in capsys.readouterr().out
+    assert "PASSED: largest residual of altitude_m " in capsys.readouterr().out
     assert simrun.main([*given, "--limit", "altitude_m=20", "--limit", "altitude_m.rms=1.5"]) == 1
     said = capsys.readouterr().out
-    assert "FAILED: altitude_m: RMS " in said
+    assert "FAILED: RMS of altitude_m " in said
     assert "1 of 2 limits met" in said
     found: Comparison = compare(flown, Measured("", (channel,), ()))
     told = json.loads((tmp_path / "out" / "comparison.json").read_text())

@@ -10,6 +10,7 @@ import csv
 import json
 import math
 import re
+import sys
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
@@ -88,6 +89,38 @@ def test_matlab_reads_every_value_with_its_unit(folder: Path, log: Log) -> None:
     assert set(slow) == {"time_s", *log.topic("/truth"), *flight.topic("/impact"), "mass_kg"}
     raw = loadmat(folder / "f.mat")["slow"]
     assert raw["altitude_m"][0, 0].shape == (len(log["altitude_m"]), 1)
+
+
+def test_h5py_reads_every_value_with_its_unit(folder: Path, log: Log) -> None:
+    h5py = pytest.importorskip("h5py", reason="the extra maxq[hdf5] is not installed")
+    file = str(folder / "f.hdf5")
+    given = ["--channels", "/truth", "--channels", "/impact_drag", "--ballistic", "800"]
+    assert simrun.main(["export", str(folder / "flight.mcap"), "--hdf5", file, *given]) == 0
+    flight = WithImpacts(log, 800.0)
+    with h5py.File(file) as content:
+        assert set(content) == {"slow", "impact"}
+        assert set(content["slow"]) == {"time_s", *log.topic("/truth")}
+        for group, names in (("slow", log.topic("/truth")), ("impact", flight.topic("/impact_drag"))):
+            for name in names:
+                found, channel = content[group][name], flight.table.channel(name)
+                assert np.array_equal(found[:], flight[name], equal_nan=True)
+                assert np.array_equal(content[group]["time_s"][:], flight.time_s(name))
+                assert dict(found.attrs) == {
+                    "units": channel.unit,
+                    "long_name": channel.description,
+                    "topic": flight.table.topic(name).name,
+                }
+        assert content["slow"]["time_s"].attrs["units"] == "s"
+
+
+def test_hdf5_needs_its_extra(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    file = folder / "without.hdf5"
+    assert simrun.main(["export", str(folder / "flight.mcap"), "--hdf5", str(file)]) == 2
+    assert "pip install 'maxq[hdf5]'" in capsys.readouterr().err
+    assert not file.exists()
 
 
 def test_a_csv_reader_reads_every_value(folder: Path, log: Log) -> None:

@@ -51,6 +51,7 @@ _KINDS = (*_MODELS, "verdict", "flight-software", "messages")
 _FLIGHT_FILES = {
     "csv": "table of channels over time (.csv); units end their names",
     "mat": "MATLAB file (.mat) of channels, units and descriptions",
+    "hdf5": "HDF5 file (.hdf5) of channels, with units as attributes; needs the extra maxq[hdf5]",
     "kml": "map (.kml): trajectory, impact points, drop points",
     "geojson": "the same map (.geojson)",
     "oem": "ephemeris (.oem, CCSDS 502.0-B)",
@@ -276,7 +277,7 @@ def _add_export(parser: Parser) -> None:
     for kind, text in _FLIGHT_FILES.items():
         export.option(f"--{kind} FILE", text, without=["--fmu"])
     about = "channel or topic (/truth) in tables; repeatable (default: all)"
-    export.option("--channels NAME...", about, needs=["--csv", "--mat"])
+    export.option("--channels NAME...", about, needs=["--csv", "--mat", "--hdf5"])
     about = "m / (C_D A), kg/m2: adds the impact point with drag"
     export.option("--ballistic B", about, needs=[f for f in flight if f not in ("--oem", "--opm")], type=positive)
     export.option("--utc DATE", "date of T0 (default: site.utc)", needs=["--oem", "--opm"])

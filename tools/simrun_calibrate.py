@@ -134,7 +134,7 @@ def parameter_rows(found: Calibration) -> list[tuple[str, ...]]:
     """Return the table of parameters, with its heads first."""
     rows: list[tuple[str, ...]] = [("parameter", "prior", "estimate", "1 sigma", "of prior", "")]
     for p in found.parameters:
-        sigma = number_text(0.5 * (p.high - p.low), 3)
+        sigma = f"{0.5 * (p.high - p.low):.3g}"
         seen = "" if p.observed else "not observable"
         cells = number_text(p.prior, 5), number_text(p.value, 5), sigma, f"{100.0 * p.share:.2g} %"
         rows.append((printable(p.label), *cells, seen))

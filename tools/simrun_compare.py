@@ -60,7 +60,11 @@ def execute(
         residual_plots(found.channels),
         kind="Flight compared with measurements",
         title=str(flight.loaded.name),
-        facts=(("log", str(place)), ("measured", measured), ("time shift", _shift_text(found))),
+        facts=(
+            ("log", str(place)),
+            ("measured", measured),
+            ("time shift", _shift_text(found).removeprefix("time shift ")),
+        ),
         outcome_line=outcome,
         tone="open" if not limits else "bad" if missed else "good",
         tables=[("Channels", "", rows, (1, 2, 3, 4, 5, 6), "Residuals: measured minus flown.")],
@@ -102,7 +106,7 @@ def _limit_text(found: Comparison, limit: Limit) -> str:
     text, bound, unit = against_limit(value, "limit", limit.bound, each.measured.unit)
     at = f" at {each.time_s[each.worst]:.3f} s" if limit.statistic == "largest" else ""
     sign = "<=" if value <= limit.bound else ">"
-    return f"{limit.channel}: {STATISTICS[limit.statistic]} {text} {sign} {bound} {unit}".rstrip() + at
+    return f"{STATISTICS[limit.statistic]} of {limit.channel} {text} {sign} {bound} {unit}".rstrip() + at
 
 
 def residual_rows(channels: Sequence[Residuals]) -> list[tuple[str, ...]]:

@@ -7,7 +7,7 @@ sigma. The estimate minimises
     |(y - f(z) - b) / sigma|^2 + |z|^2 + |b / sigma_b|^2 + (s / sigma_s)^2
 
 over the scores, a constant error b of each channel with a `bias_sigma`, and a time shift s. Method: Levenberg-Marquardt
-with central differences of half-width STEP (More, Lecture Notes in Mathematics 630, 1978), whose flights run in
+with central differences (More, Lecture Notes in Mathematics 630, 1978), whose flights run in
 parallel. The covariance is the inverse of the Gauss-Newton matrix at the estimate: the posterior for a model that is
 linear within its uncertainty, with errors that are independent.
 
@@ -39,8 +39,9 @@ from maxq.sim.run.comparison import Modelled, Residuals, difference, no_overlap,
 from maxq.sim.run.measured import Measured, MeasuredChannel
 from maxq.sim.scenario.loader import LoadedScenario
 
-STEP = 0.05
-"""Half-width of the differences, in standard deviations of the prior."""
+STEP, LEAST_STEP = 0.05, 0.005
+"""The half-width of the differences, in standard deviations of the prior: that of the posterior, within these limits.
+"""
 OBSERVED = 0.9
 """A parameter whose posterior standard deviation is a larger share of its prior one is not observable."""
 _CONTINUOUS = ("normal", "truncated-normal", "uniform", "log-normal", "triangular")
@@ -289,12 +290,14 @@ class _Problem:
         residuals = self.residuals(history, x)
         return _Point(x, history, residuals, float(residuals @ residuals + x @ x))
 
-    def jacobian(self, at: _Point) -> Array:
+    def jacobian(self, at: _Point, widths: Array) -> Array:
         """Return the derivative (n, size) of the weighted residuals, by central differences where both flights exist.
+
+        `widths` (size,) are the half-widths of the differences of the scores.
 
         Raises CampaignError if neither exists, and Interrupted.
         """
-        moves = [sign * STEP * np.eye(self.size)[k] for k in range(self.scores) for sign in (1.0, -1.0)]
+        moves = [sign * widths[k] * np.eye(self.size)[k] for k in range(self.scores) for sign in (1.0, -1.0)]
         flown = self.flights.fly([(at.x + move)[: self.scores] for move in moves])
         out = np.zeros((len(at.residuals), self.size))
         for k in range(self.scores):
@@ -303,7 +306,7 @@ class _Problem:
                 raise CampaignError(f"{self.flights.names[k]}: no flight near its estimate is usable")
             ahead = at.residuals if up is None else self.residuals(up, at.x)
             behind = at.residuals if down is None else self.residuals(down, at.x)
-            out[:, k] = (ahead - behind) / (STEP * ((up is not None) + (down is not None)))
+            out[:, k] = (ahead - behind) / (widths[k] * ((up is not None) + (down is not None)))
         for n in range(len(self.priors)):
             move = 1e-3 * np.eye(self.size)[self.scores + n]
             out[:, self.scores + n] = (
@@ -355,11 +358,12 @@ def _calibrated(problem: _Problem, draws: Sequence[Draw], watch: Callable[[int, 
     problem.begin(first)
     start = at = problem.point(x, first)
     damping, converged, iteration = 0.0, False, 0
-    jacobian = problem.jacobian(at)
+    jacobian = problem.jacobian(at, np.full(problem.size, STEP))
     while iteration < _MOST_ITERATIONS and not converged and damping <= _MOST_DAMPING:
         iteration += 1
         watch(iteration, at.cost / len(at.residuals), flights.flown)
         normal, slope = jacobian.T @ jacobian + np.eye(problem.size), jacobian.T @ at.residuals + at.x
+        widths = np.clip(np.sqrt(np.diag(np.linalg.inv(normal))), LEAST_STEP, STEP)
         while damping <= _MOST_DAMPING:
             step = -np.linalg.solve(normal + damping * np.eye(problem.size), slope)
             converged = math.sqrt(float(step @ normal @ step)) < _CONVERGED and damping < 1.0
@@ -368,7 +372,7 @@ def _calibrated(problem: _Problem, draws: Sequence[Draw], watch: Callable[[int, 
             if trial is not None and trial.cost <= at.cost:
                 gain = (at.cost - trial.cost) / max(float(-step @ (2.0 * slope + normal @ step)), 1e-300)
                 damping = 0.0 if gain > 0.75 and damping <= 1.0 else damping * (0.1 if gain > 0.75 else 1.0)
-                at, jacobian = trial, problem.jacobian(trial)
+                at, jacobian = trial, problem.jacobian(trial, widths)
                 break
             if converged:
                 break

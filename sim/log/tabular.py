@@ -112,6 +112,28 @@ class Tabular(ABC):
             savemat(str(part), content, appendmat=False, long_field_names=True, oned_as="column")
         return Path(path)
 
+    def to_hdf5(self, path: str | Path, *names: str) -> Path:
+        """Write an HDF5 file, and return its path. Requires h5py (`maxq[hdf5]`).
+
+        It contains a group for each rate (`fast`, `slow`) with the dataset `time_s` and one for each channel, all
+        float64 (n,). Their attributes are `units`, `long_name` and, for channels, `topic`. Raises FileError if the file
+        cannot be written, and ImportError without h5py.
+        """
+        import h5py  # noqa: PLC0415  # an extra
+
+        groups = self._groups(names)
+        with whole_file(Path(path)) as part, h5py.File(part, "w") as file:
+            for group in groups:
+                place = file.create_group(self.table.topic(group[0]).group)
+                time_s = place.create_dataset("time_s", data=self.time_s(group[0]), compression="gzip", shuffle=True)
+                time_s.attrs.update({"units": "s", "long_name": "time on the vehicle clock"})
+                for name in group:
+                    channel, data = self.table.channel(name), np.asarray(self[name], np.float64)
+                    column = place.create_dataset(name, data=data, compression="gzip", shuffle=True)
+                    about = {"units": channel.unit, "long_name": channel.description}
+                    column.attrs.update(about | {"topic": self.table.topic(name).name})
+        return Path(path)
+
     def channels_in(self, names: Sequence[str]) -> list[str]:
         """Return the names of channels for names of channels and topics, without repetition. Raises KeyError."""
         known = {topic.name: [channel.name for channel in topic.channels] for topic in self.table.topics}

@@ -52,7 +52,7 @@ class Modelled:
         return np.asarray((time_s >= first - 1e-9) & (time_s <= last + 1e-9))
 
     def at(self, time_s: Array) -> Array:
-        return np.interp(time_s, self.time_s, self.values)
+        return np.asarray(np.interp(time_s, self.time_s, self.values))
 
     def slope(self, time_s: Array) -> Array:
         """Return the central difference over two rows, per second."""

@@ -19,7 +19,7 @@ from maxq.tools.cli.terminal import tell
 from maxq.tools.exchange.maps import Feature, features_of, write_geojson, write_kml, zone_features
 from maxq.tools.exchange.orbit_messages import MessageFrame, OrbitMessages
 
-KINDS = ("csv", "mat", "kml", "geojson", "oem", "opm")
+KINDS = ("csv", "mat", "hdf5", "kml", "geojson", "oem", "opm")
 """The options that write a file of a flight, and the ends of the files' names."""
 
 
@@ -47,6 +47,7 @@ def execute(
     writers: dict[str, Callable[[Path], str]] = {
         "csv": lambda path: _table(flight, path, channels, flight.to_csv),
         "mat": lambda path: _table(flight, path, channels, flight.to_mat),
+        "hdf5": lambda path: _table(flight, path, channels, flight.to_hdf5),
         "kml": lambda path: _map(found, flight, lambda: write_kml(path, log.metadata.get("scenario", ""), found)),
         "geojson": lambda path: _map(found, flight, lambda: write_geojson(path, found)),
         "oem": lambda path: _ephemeris(flight, utc, frame, path),
@@ -57,6 +58,8 @@ def execute(
             tell(f"{path}: {writers[kind](path)}")
         except KeyError as error:
             raise CommandError(f"{place}: {error.args[0]}") from None
+        except ImportError as error:
+            raise CommandError(f"--{kind} needs the extra hdf5 ({error}): pip install 'maxq[hdf5]'") from None
     return Exit.OK
 
 

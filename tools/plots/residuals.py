@@ -22,7 +22,7 @@ def residual_plots(after: Sequence[Residuals], before: Sequence[Residuals] = ())
 def _plot(each: Residuals, before: Residuals | None) -> Plot:
     measured = each.measured
     shown, factor = engineering_unit(measured.unit, float(np.abs(each.values).max()))
-    small, fine = engineering_unit(measured.unit, abs(each.largest))
+    small, fine = engineering_unit(measured.unit, abs((each if before is None else before).largest))
     k = slice(None, None, len(each.time_s) // _MOST_POINTS + 1)
     values = [
         points(each.time_s[k], factor * each.values[k], "measured", colour="orange"),
