@@ -28,6 +28,7 @@ from maxq.tools.vehicle.aerodynamics import CROSSFLOW, MACH, Surface, body_lift,
 from maxq.tools.vehicle.airframe import Airframe, Body, Fins, Piece, Remark
 from maxq.tools.vehicle.layout import LayoutFins, read_layout
 
+_MOST_FINS = 8  # of a layout
 _TAPER = 6  # sections of the beam in a body with a changing radius
 _LEAST_m = 1e-4  # length of a point mass, and least radius of a section
 _KINDS = {"taken": 0, "assumed": 1, "missing": 2}
@@ -162,6 +163,8 @@ def _stage(airframe: Airframe, n: int, diameter_m: float) -> dict[str, Any]:
         },
         "aero": _aero(airframe, n, diameter_m),
     }
+    if len(stage.fins) == 1 and (f := stage.fins[0]).sweep_m >= 0.0 and 3 <= f.count <= _MOST_FINS:  # for the drawing
+        out["fins"] = {key: getattr(f, key) for key in LayoutFins.model_fields}
     if n > 0:
         out["separation_after_s"] = stage.separation_after_s
     if n + 1 < len(airframe.stages):
