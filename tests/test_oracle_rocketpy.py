@@ -147,6 +147,7 @@ def test_surfaces_drag_site_and_rail_are_taken(folder: Path) -> None:
     for mach, on in ((0.5, 0.5), (1.5, 0.55)):
         assert np.interp(mach, aero.table["mach"], aero.table["CA"]) == pytest.approx(on, rel=1e-9)
         assert np.interp(mach, aero.table["mach"], aero.table["CA_coast"]) == pytest.approx(on + 0.1, rel=1e-9)
+    assert layout.stage[0].modes == 0  # RocketPy has no stiffness
     assert layout.rail is not None
     assert (layout.rail.length_m, layout.rail.elevation_deg, layout.azimuth_deg) == (4.3, 85.0, 30.0)
     assert (layout.site.latitude_deg, layout.site.longitude_deg, layout.site.altitude_m) == (32.99, -106.97, 1400.0)

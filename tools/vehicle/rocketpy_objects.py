@@ -103,7 +103,7 @@ class _Reading:
         self.remarks.insert(0, Remark("taken", "rocket", f"mass, centre of mass, inertia: {mass:g} kg without motor"))
         self.remarks.insert(1, Remark("taken", "drag", "as axial force, with and without thrust"))
         self.remarks += [
-            Remark("assumed", "stiffness", f"wall of {1e3 * _WALL_m:g} mm with {_MODULUS_Pa / 1e9:g} GPa"),
+            Remark("missing", "stiffness", "rigid (modes = 0); the walls of the layout are placeholders"),
             Remark("missing", "atmosphere", "the US Standard Atmosphere in place of the environment's"),
             Remark("missing", "wind", "none; give [wind] of the scenario"),
             Remark("missing", "recovery", "the flight ends at the apogee"),
@@ -115,13 +115,14 @@ class _Reading:
             nose="cone" if self.nose.kind == "conical" else "ogive",
             axial=(mach, axial[0], axial[1]),
             reference_diameter_m=2.0 * float(rocket.radius),
+            rigid=True,
             remarks=self.remarks,
             **self._launch(),
         )
 
-    def _launch(self) -> dict[str, float]:
+    def _launch(self) -> dict[str, Any]:
         """Return the site and the rail. Without a flight, the rail is 5 m long and vertical."""
-        out = {"latitude_deg": 0.0, "longitude_deg": 0.0, "altitude_m": 0.0}
+        out: dict[str, Any] = {"latitude_deg": 0.0, "longitude_deg": 0.0, "altitude_m": 0.0}
         if self.environment is None:
             self.remarks.append(Remark("missing", "launch site", "latitude, longitude and altitude are 0"))
         else:
