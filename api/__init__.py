@@ -104,6 +104,7 @@ __all__ = [
     "builtin_names",
     "campaign",
     "fly",
+    "from_rocketpy",
     "given_points",
     "impacts",
     "load",
@@ -339,6 +340,33 @@ def vehicle(layout: str | Path, folder: str | Path | None = None) -> Path:
     place = Path(folder) if folder is not None else Path("runs") / plain_name(read.name, "vehicle")
     write(build(read), place)
     return place
+
+
+def from_rocketpy(
+    rocket: Any, flight: Any = None, *, environment: Any = None, name: str = "rocket", folder: str | Path | None = None
+) -> Path:
+    """Build an unguided vehicle from a RocketPy rocket with a solid motor.
+
+    The folder contains `layout.toml`, whose comments state what was taken, assumed and is missing, and `scenario.toml`
+    to fly to the apogee. maxq computes the normal force of nose, tails and fins; the drag is that of the rocket.
+
+    :param rocket: `rocketpy.Rocket` with a `SolidMotor`, a nose, and tails, trapezoidal or elliptical fins.
+    :param flight: `rocketpy.Flight`, whose rail and environment are used (default: a vertical rail of 5 m).
+    :param environment: `rocketpy.Environment`, whose place is used instead of that of the flight.
+    :param name: Name of the vehicle.
+    :param folder: Folder of the vehicle (default: runs/NAME).
+    :returns: The folder.
+    :raises ScenarioError: If the rocket cannot be imported.
+    :raises ValueError: If the vehicle cannot fly.
+    """
+    from pathlib import Path
+
+    from maxq.sim.files import plain_name
+    from maxq.tools.vehicle.airframe_layout import write_layout
+    from maxq.tools.vehicle.rocketpy_objects import read_rocketpy
+
+    place = Path(folder) if folder is not None else Path("runs") / plain_name(name, "vehicle")
+    return vehicle(write_layout(read_rocketpy(rocket, flight, environment, name=name), place), place)
 
 
 def optimise(

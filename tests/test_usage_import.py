@@ -12,7 +12,9 @@ import orkkit
 import pytest
 
 from maxq import ScenarioError
+from maxq.sim.input import xml_tree
 from maxq.tools import simvehicle
+from maxq.tools.vehicle import openrocket
 from maxq.tools.vehicle.airframe import equivalent_trapezoid, revolved
 from maxq.tools.vehicle.layout import read_layout
 from maxq.tools.vehicle.openrocket import SHAPES, read_openrocket
@@ -77,7 +79,6 @@ def test_designs_of_old_versions_are_read(tmp_path: Path, packed: Callable[[str]
 
 
 _POD = "<podset><name>pods</name></podset>"
-_BOMB = b"<openrocket><rocket/></openrocket>" + b" " * (65 * 1024**2)
 
 
 @pytest.mark.parametrize(
@@ -86,8 +87,6 @@ _BOMB = b"<openrocket><rocket/></openrocket>" + b" " * (65 * 1024**2)
         (b"PK\x05\x06" + bytes(18), "cannot be unpacked (the archive holds no rocket.ork)"),
         (b"PK\x03\x04 no archive", "cannot be unpacked (File is not a zip file)"),
         (b"", "line 1: is not XML (no element found)"),
-        (orkkit.zipped(_BOMB.decode()), "holds more than 64 MiB of XML"),
-        (gzip.compress(_BOMB), "holds more than 64 MiB of XML"),
         (b'<!DOCTYPE a [<!ENTITY b "c">]><openrocket>&b;</openrocket>', "line 1: has a document type"),
         (b"<openrocket>" + b"<a>" * 300, "is nested more than 200 deep"),
         (b"<rocksim/>", "holds <rocksim>, not a rocket"),
@@ -108,6 +107,18 @@ def test_wrong_designs_are_one_line(tmp_path: Path, content: bytes, said: str) -
     with pytest.raises(ScenarioError) as error:
         read_openrocket(design)
     assert said in str(error.value)
+
+
+def test_no_more_is_unpacked_than_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bomb of 3 MiB with the limit at 1 MiB instead of 64 MiB."""
+    design = orkkit.write_design(tmp_path, orkkit.xml())
+    for module in (openrocket, xml_tree):
+        monkeypatch.setattr(module, "MOST_BYTES", 1024**2)
+    bomb = "<openrocket><rocket/></openrocket>" + " " * (3 * 1024**2)
+    for content in (orkkit.zipped(bomb), gzip.compress(bomb.encode()), bomb.encode()):
+        design.write_bytes(content)
+        with pytest.raises(ScenarioError, match="holds more than 1 MiB of XML"):
+            read_openrocket(design)
 
 
 def test_motors_are_those_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,19 +12,22 @@ Drag curves of RocketPy and OpenRocket are lines of a Mach number and a drag coe
 Missile DATCOM output (for006.dat; W. B. Blake, AFRL-VA-WP-TR-1998-3009) has pages "STATIC AERODYNAMICS FOR ..." with
 MACH NO and columns ALPHA, CN, CM, CA, CY, CLN, CLL. For each Mach number, the last page is read, which describes the
 whole configuration. Area, lengths and moment centre of the run must equal those of the vehicle file.
+
+DAVE-ML models (.dml) are in dave_ml.py, with the same rule.
 """
 
 from __future__ import annotations
 
 import re
-from xml.etree import ElementTree
 
 import numpy as np
 
+from maxq.sim.input.dave_ml import DaveError, coefficient_columns, read_model
 from maxq.sim.input.documents import Text
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.files import Reading
 from maxq.sim.input.tables_csv import Columns, CsvTable, Foreign
+from maxq.sim.input.xml_tree import XmlError, xml_tree
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][-+]?\d+)?"
 _HEAD = ["ALPHA", "CN", "CM", "CA", "CY", "CLN", "CLL"]
@@ -69,9 +72,10 @@ def read_rse(text: str, name: str, shown: str) -> CsvTable:
     """
     allowed = "a RockSim engine file: engine with propWt (g), and eng-data with t (s) and f (N)"
     try:
-        engine = ElementTree.fromstring(text).find(".//engine")
-    except ElementTree.ParseError as error:
-        raise refuse("is not XML", allowed, file=shown, place=f"line {error.position[0]}") from None
+        engine = xml_tree(text).find(".//engine")
+    except XmlError as error:
+        place = f"line {error.line}" if error.line else ""
+        raise refuse(str(error), allowed, file=shown, place=place) from None
     if engine is None:
         raise refuse("holds no engine", allowed, file=shown)
     try:
@@ -185,5 +189,17 @@ def _datcom(name: Text, reading: Reading, columns: Columns) -> CsvTable | None:
     return read_datcom(text, str(name), shown) if "STATIC AERODYNAMICS FOR" in text else None
 
 
-RASP, DATCOM = Foreign("a RASP (.eng) or RockSim file (.rse)", _rasp), Foreign("Missile DATCOM's for006.dat", _datcom)
+def _coefficients(name: Text, reading: Reading, columns: Columns) -> CsvTable | None:
+    if not name.lower().endswith(".dml"):
+        return _datcom(name, reading, columns)
+    shown, text = reading.read_table(name)
+    try:
+        found = coefficient_columns(read_model(text))
+    except DaveError as error:
+        raise refuse(str(error), "an aerodynamic model in DAVE-ML (AIAA S-119)", file=shown) from None
+    return _table(str(name), shown, (0,) * len(next(iter(found.values()))), **found)
+
+
+RASP = Foreign("a RASP (.eng) or RockSim file (.rse)", _rasp)
+DATCOM = Foreign("Missile DATCOM's for006.dat, or DAVE-ML (.dml)", _coefficients)
 DRAG_CURVE = Foreign("lines of mach and CD without names", _drag)

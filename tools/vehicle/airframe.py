@@ -98,10 +98,7 @@ class Fins:
 
 @dataclass(frozen=True)
 class Motor:
-    """Equal solid motors side by side: the thrust of one over time, and its masses.
-
-    The mass flow is in any unit, or None if it is proportional to the thrust.
-    """
+    """Equal solid motors side by side: the thrust of one over time, linear between its rows, and its masses."""
 
     name: str
     time_s: Array
@@ -112,7 +109,6 @@ class Motor:
     rear_station_m: float
     radius_m: float
     count: int = 1
-    flow: Array | None = None
     grain: tuple[float, float] | None = None  # its ends, m aft of the nose (None: those of the motor)
     port_radius_m: float | None = None
     exit_area_m2: float = 0.0
@@ -140,7 +136,10 @@ class AirframeStage:
 
 @dataclass(frozen=True)
 class Airframe:
-    """A rocket with its launch site. `stages` begin at the top; `axial` has rows of Mach number, CA and CA_coast."""
+    """A rocket with its launch site. `stages` begin at the top; `axial` has rows of Mach number, CA and CA_coast.
+
+    A rigid rocket has no bending modes, because the stiffness of its bodies is unknown.
+    """
 
     name: str
     source: str
@@ -154,6 +153,7 @@ class Airframe:
     elevation_deg: float
     axial: tuple[Array, Array, Array] | None = None
     reference_diameter_m: float | None = None  # of `axial` (None: the largest diameter)
+    rigid: bool = False
     remarks: list[Remark] = field(default_factory=list)
 
 
@@ -194,7 +194,7 @@ def revolved(profile: Profile, length_m: float, wall_m: float | None) -> tuple[S
     """
 
     def radius(x: Array) -> Array:
-        return np.maximum(profile(x).real, 0.0)
+        return np.asarray(np.maximum(profile(x).real, 0.0))
 
     def inner(x: Array) -> Array:
         if wall_m is None:

@@ -28,6 +28,8 @@ from maxq.tools.vehicle.aerodynamics import CROSSFLOW, MACH, Surface, body_lift,
 from maxq.tools.vehicle.airframe import Airframe, Body, Fins, Piece, Remark
 from maxq.tools.vehicle.layout import LayoutFins, read_layout
 
+_CORNER = 0.02  # share of the interval between two rows of a thrust curve in which its corner is rounded
+_MOST_FINS = 8  # of a layout
 _TAPER = 6  # sections of the beam in a body with a changing radius
 _LEAST_m = 1e-4  # length of a point mass, and least radius of a section
 _KINDS = {"taken": 0, "assumed": 1, "missing": 2}
@@ -120,10 +122,9 @@ def _stage(airframe: Airframe, n: int, diameter_m: float) -> dict[str, Any]:
     front, rear = stage.bodies[0].front_station_m, stage.bodies[-1].rear_station_m
     case = (m.case_kg * m.count, m.front_station_m, m.rear_station_m, m.radius_m)
     grain_ends = m.grain or (m.front_station_m, m.rear_station_m)
-    times = m.time_s - m.time_s[0]
-    thrust = {"time_s": times.tolist(), "thrust_vacuum_N": (m.count * m.thrust_N).tolist()}
-    if m.flow is not None:
-        thrust["mass_flow_kgps"] = (m.count * m.flow).tolist()
+    times = _with_corners(m.time_s)
+    newton = m.count * np.interp(times, m.time_s, m.thrust_N)
+    thrust = {"time_s": (times - times[0]).tolist(), "thrust_vacuum_N": newton.tolist()}
     nozzle_m = min(m.rear_station_m, rear)
     grain: dict[str, Any] = {
         "front_station_m": grain_ends[0],
@@ -162,11 +163,21 @@ def _stage(airframe: Airframe, n: int, diameter_m: float) -> dict[str, Any]:
         },
         "aero": _aero(airframe, n, diameter_m),
     }
+    if len(stage.fins) == 1 and (f := stage.fins[0]).sweep_m >= 0.0 and 3 <= f.count <= _MOST_FINS:  # for the drawing
+        out["fins"] = {key: getattr(f, key) for key in LayoutFins.model_fields}
+    if airframe.rigid:
+        out["modes"] = 0
     if n > 0:
         out["separation_after_s"] = stage.separation_after_s
     if n + 1 < len(airframe.stages):
         out["ignition_after_s"] = airframe.stages[n + 1].ignition_after_s
     return out
+
+
+def _with_corners(times: Array) -> Array:
+    """Return times with further ones next to each, between which a PCHIP curve of a polygon is a straight line."""
+    near = _CORNER * np.diff(times)
+    return np.unique(np.concatenate([times, times[:-1] + near, times[1:] - near]).round(9))
 
 
 def _part(piece: Piece) -> dict[str, Any]:

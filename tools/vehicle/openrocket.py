@@ -16,7 +16,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -687,7 +687,9 @@ class _Design:
         last = [
             Remark("assumed", "stiffness", f"Young's modulus by the name of the material: {bodies}"),
             Remark(
-                "assumed", "motors", "grain and case are uniform over the length of the motor; thrust is that in vacuum"
+                "assumed",
+                "motors",
+                "grain and case are uniform over the length of the motor; thrust is linear and that in vacuum",
             ),
         ]
         if any(s.motor.count > 1 for s in stages):
@@ -708,7 +710,7 @@ class _Design:
             **site,
         )
 
-    def _site(self, conditions: Element | None) -> tuple[dict[str, float], Remark]:
+    def _site(self, conditions: Element | None) -> tuple[dict[str, Any], Remark]:
         if conditions is None:
             out = {"latitude_deg": 45.0, "longitude_deg": 0.0, "altitude_m": 0.0}
             remark = Remark(
