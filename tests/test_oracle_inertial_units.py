@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from functools import cache
 from pathlib import Path
@@ -18,7 +19,7 @@ import numpy as np
 import pytest
 from flight_code import compiled, flies, needs_compiler
 from petrelkit import folder
-from test_oracle_flight_computer import IDEAL, ORBIT, SEQUENCE, flight_computer, library
+from test_oracle_flight_computer import IDEAL, ORBIT, SEQUENCE, computer_flight, flight_computer, library
 
 from maxq import Flight
 from maxq.control.external import HEADER
@@ -160,3 +161,36 @@ def test_a_failed_unit_does_not_change_the_navigation(kind: str) -> None:
     assert position_error_m(*THREE, failed) == pytest.approx(clean_m(), abs=0.5)
     if kind in ALONE_M:
         assert position_error_m(*THREE[:3], failed) > clean_m() + ALONE_M[kind]
+
+
+def units_with_errors(stage: int) -> list[str]:
+    """Return three units of a stage with constant errors up to 2 deg/h and 5 mm/s2."""
+    gyros = ("[1.0,-2.0,1.0]", "[-1.0,1.0,-2.0]")
+    accelerometers = ("[-0.003,0.004,-0.002]", "[0.001,0.002,0.005]")
+    place = f"vehicle.stage.{stage}"
+    return [
+        f"{place}.accelerometer={{{STATION},bias_mps2=[0.004,-0.002,0.003]}}",
+        f"{place}.rate_gyro=[{','.join(f'{{{STATION},bias_degph={bias}}}' for bias in gyros)}]",
+        f"{place}.further_accelerometer=[{','.join(f'{{{STATION},bias_mps2={bias}}}' for bias in accelerometers)}]",
+    ]
+
+
+@pytest.mark.long
+@needs_compiler
+@pytest.mark.parametrize("kind", ["none", *FAILED])
+def test_units_with_errors_reach_the_orbit_also_after_a_failure(kind: str) -> None:
+    """Fly from pad to orbit with GNSS. A failed unit is left out; the greater of the other two would drift by 4 deg."""
+    units = [change for stage in range(3) for change in units_with_errors(stage)]
+    failed = [] if kind == "none" else [f"fault=[{FAILED[kind]}]"]
+    flight = computer_flight(*units, *failed)
+    assert flight.final["monitor_8"] == 0.0  # no solution of the receiver is rejected
+    assert abs(flight.metrics["cutoff_perigee_error_m"]) < 50.0
+    assert abs(flight.metrics["cutoff_apogee_error_m"]) < 500.0
+
+
+@pytest.mark.long
+@needs_compiler
+def test_a_single_failed_unit_misses_the_orbit() -> None:
+    alone = [units_with_errors(stage)[0] for stage in range(3)]
+    flight = computer_flight(*alone, f"fault=[{FAILED['bias']}]")
+    assert math.isnan(flight.metrics["cutoff_apogee_error_m"])

@@ -122,7 +122,10 @@ def further_gyros(computer: Any) -> int:
 
 
 def _declared(packed: Packed, said: str) -> Iterator[str]:
-    """Yield the lines of flight_law_tables.h."""
+    """Yield the lines of flight_law_tables.h.
+
+    A compiler's option may set COUNT_RAD to 0, for code whose angles are not whole pulses.
+    """
     each = [row.computer for row in packed.parameters]
     law = LAWS[int(each[0].law.kind)]
     relief = RELIEF.index(law) + 1 if law in RELIEF else 0
@@ -147,7 +150,8 @@ def _declared(packed: Packed, said: str) -> Iterator[str]:
     yield from (f"/* {said} */", "#ifndef FLIGHT_LAW_TABLES_H", "#define FLIGHT_LAW_TABLES_H", "")
     yield from ('#include "flight_law.h"', "")
     for name, value, meaning in numbers:
-        yield f"#define LAW_{name} {value!r}" + (f" /* {meaning} */" if meaning else "")
+        line = f"#define LAW_{name} {value!r}" + (f" /* {meaning} */" if meaning else "")
+        yield from (f"#ifndef LAW_{name}", line, "#endif") if name == "COUNT_RAD" else (line,)
     yield from ("", "typedef struct {", *(f"    {field}" for field in _STAGE_FIELDS), "} law_stage;", "")
     yield from ("extern const law_stage law_stages[LAW_STAGES];", "", "#endif")
 

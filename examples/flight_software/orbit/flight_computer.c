@@ -3,11 +3,13 @@
  *   sed '/^gyro_station_m/a accelerometer_station_m = 6.8' ../../../scenarios/layouts/petrel.toml > petrel.toml
  *   simvehicle petrel.toml --out petrel
  *   simdesign export petrel/design.toml --scenario petrel/scenario.toml --c law
- *   cc -std=c99 -O2 -ffp-contract=off -shared -fPIC -Ilaw -o libflight_computer.so flight_computer.c \
- *       law/flight_law.c law/flight_law_tables.c -lm
+ *   cc -std=c99 -O2 -ffp-contract=off -shared -fPIC -DLAW_COUNT_RAD=0.0 -Ilaw -o libflight_computer.so \
+ *       flight_computer.c law/flight_law.c law/flight_law_tables.c -lm
  *   simrun petrel/scenario.toml --set vehicle.computer.law=external --set vehicle.computer.sequencing=flight-code \
  *       --set vehicle.computer.library=./libflight_computer.so --set 'vehicle.gnss={station_m=3.0}' \
  *       --set 'guidance.orbit={perigee_altitude_m=250e3, apogee_altitude_m=300e3, isp_s=343.0}'
+ *
+ * With LAW_COUNT_RAD 0, the law takes angles: the increments that the navigation selects are not whole gyro pulses.
  *
  * If the key settings contains "programme", the attitude is that of the scenario's programme, and the engine burns until
  * its propellant is consumed.
@@ -58,6 +60,9 @@ int32_t maxq_fsw_init(void *self, const maxq_fsw_setup *setup)
     computer *c = self;
     if (setup->bytes < (int64_t)sizeof *setup || setup->sample_ns != law_stages[0].sample_ns) {
         return 1;
+    }
+    if (LAW_COUNT_RAD > 0.0) { /* compiled without -DLAW_COUNT_RAD=0.0 */
+        return 2;
     }
     c->setup = *setup;
     c->programme = strstr(setup->settings, "programme") != NULL;
@@ -193,7 +198,6 @@ int32_t maxq_fsw_step(void *self, const maxq_fsw_inputs *in, maxq_fsw_outputs *o
     given.time_s = in->time_s;
     given.stage = (int32_t)in->stage;
     for (i = 0; i < 3; ++i) {
-        given.counts[i] = c->setup.count_rad > 0.0 ? (int64_t)floor(c->nav.angle_rad[i] / c->setup.count_rad + 0.5) : 0;
         given.delta_angle_rad[i] = c->nav.angle_rad[i];
         given.delta_velocity_mps[i] = c->nav.velocity_mps[i];
         out->monitor[i] = c->nav.r[i];

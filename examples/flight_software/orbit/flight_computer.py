@@ -44,6 +44,7 @@ PITCH_DEG = (
 TURN_RATE_RADPS = 0.0524
 SEPARATION_S, IGNITION_S, FAIRING_S, EXHAUST_MPS = 1.0, 2.0, 39.87, 343.0 * 9.80665
 GNSS_POSITION_M, GNSS_VELOCITY_MPS, DRIFT_M2PS3, GATE, HISTORY = 5.0, 0.1, 1e-4, 6.0, 64
+APART_SAMPLES, APART_RADPS, APART_MPS2 = 50.0, 3.5e-4, 0.1
 STEPS, SLOPE_S, ENDING_S = 24, 100.0, 8.0
 
 
@@ -99,15 +100,29 @@ def about_z(angle, a):
     return (c * a[0] - s * a[1], s * a[0] + c * a[1], a[2])
 
 
-def selected(units, i):
-    """Return the middle increment of each axis, of the inertial units whose samples have arrived, else of the first."""
-    good = [k for k in range(i.imu_count) if i.imu_health >> k & 1] or [0]
-    columns = [sorted(units[k][axis] for k in good) for axis in range(3)]
-    return tuple(0.5 * (x[(len(x) - 1) // 2] + x[len(x) // 2]) for x in columns)
+class Units:
+    """The inertial units: the middle increment of three, or the mean of two after one has failed (navigation.h)."""
+
+    def __init__(self, sample_s):
+        self.limits, self.failed = (APART_RADPS * sample_s,) * 3 + (APART_MPS2 * sample_s,) * 3, set()
+        self.apart = [[0.0] * 6 for _ in range(3)]
+
+    def select(self, i):
+        units = [(*i.imu_delta_angle_rad[k], *i.imu_delta_velocity_mps[k]) for k in range(3)]
+        good = [k for k in range(min(i.imu_count, 3)) if i.imu_health >> k & 1 and k not in self.failed] or [0]
+        columns = [sorted(units[k][axis] for k in good) for axis in range(6)]
+        out = tuple(0.5 * (x[(len(x) - 1) // 2] + x[len(x) // 2]) for x in columns)
+        for k in range(3) if len(good) == 3 else ():
+            mean = self.apart[k]
+            self.apart[k] = [d + (x - y - d) / APART_SAMPLES for d, x, y in zip(mean, units[k], out, strict=True)]
+            if any(abs(d) > most for d, most in zip(self.apart[k], self.limits, strict=True)):
+                self.failed.add(k)
+                break
+        return out[:3], out[3:]
 
 
 class Navigation:
-    """Strapdown integration, corrected by GNSS; position and velocity in I."""
+    """Strapdown integration, corrected by GNSS; position, velocity and tilt in I (navigation.h)."""
 
     def __init__(self, setup):
         self.s = setup
@@ -115,6 +130,8 @@ class Navigation:
         self.r, self.v = tuple(setup.start_r_I_m), tuple(setup.start_v_I_mps)
         self.p_rr, self.p_rv, self.p_vv = 100.0, 0.0, 0.01
         self.past, self.number, self.rejected, self.started = [], 0, 0, False
+        self.tilt, self.force, self.corrected = (0.0, 0.0, 0.0), 0.0, None
+        self.units = Units(1e-9 * setup.sample_ns)
 
     def gravitation(self, r):
         s, radius = self.s, norm(r)
@@ -128,7 +145,7 @@ class Navigation:
 
     def step(self, i):
         s, h = self.s, 1e-9 * self.s.sample_ns
-        angle = selected(i.imu_delta_angle_rad, i)
+        angle, velocity = self.units.select(i)
         by = added(angle, 1.0 / 12.0, cross(self.last, angle))  # coning, Savage, J. Guidance 21(1), 1998
         before, self.last, self.q = self.q, angle, turned(self.q, by)
         if not i.discretes & LIFTOFF and not self.started:
@@ -136,8 +153,10 @@ class Navigation:
             self.v = self.ground(self.r)
         else:
             self.started = True
-            gained = rotate(turned(before, tuple(0.5 * x for x in by)), selected(i.imu_delta_velocity_mps, i))
-            v = added(added(self.v, 1.0, gained), h, self.gravitation(added(self.r, 0.5 * h, self.v)))
+            gained = rotate(turned(before, tuple(0.5 * x for x in by)), velocity)
+            self.force = norm(gained) / h
+            v = added(added(self.v, 1.0, gained), self.force * h, self.tilt)
+            v = added(v, h, self.gravitation(added(self.r, 0.5 * h, self.v)))
             self.r, self.v = added(added(self.r, 0.5 * h, self.v), 0.5 * h, v), v
             self.p_rr += h * (2.0 * self.p_rv + h * self.p_vv)
             self.p_rv += h * self.p_vv
@@ -169,6 +188,10 @@ class Navigation:
         k_vr, k_vv = (rv * s_vv - vv * rv) / det, (vv * s_rr - rv * rv) / det
         self.r = added(added(self.r, k_rr, miss_r), k_rv, miss_v)
         self.v = added(added(self.v, k_vr, miss_r), k_vv, miss_v)
+        if self.corrected is not None and self.force > 1.0:
+            since = max(i.gnss_time_s - self.corrected, h)
+            self.tilt = added(self.tilt, 0.25 * k_vv * k_vv / since / self.force, miss_v)
+        self.corrected = i.gnss_time_s
         self.p_rr, self.p_rv = rr - k_rr * rr - k_rv * rv, rv - k_rr * rv - k_rv * vv
         self.p_vv = vv - k_vr * rv - k_vv * vv
 
