@@ -52,6 +52,7 @@ from maxq.control.kernel.rows import PitchYaw, QuaternionRow, RollPitchYaw, degr
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Pool, TableRef
 from maxq.control.laws.adaptive import Adaptive, AdaptiveState, augmented, start_adaptive
 from maxq.control.laws.flown import FlownLaw, LawStates, make_law, navigate_law, start_laws, tick_law
+from maxq.control.laws.own import OwnLaw
 from maxq.control.laws.pd import LawInputs, LawRow, filtered, law_row, settle_pd
 from maxq.control.laws.pid import PidRow, pid_row
 from maxq.control.orbit_guidance import OrbitGuidanceState, start_orbit_guidance
@@ -169,6 +170,7 @@ def build_computer(
     relief_hz: float | None = None,
     adaptive: Adaptive | None = None,
     loops: loop_filters.LoopFilters | None = None,
+    own: OwnLaw | None = None,
 ) -> Computer:
     """Return the parameters of a computer, and add its tables to `pool`.
 
@@ -183,6 +185,7 @@ def build_computer(
       `roll.make_roll`, `sensors.make_sensors`, `adaptive.make_adaptive` and `loop_filters.make_loop_filters`. Without
       `roll`, no thruster fires.
     - `relief_hz`: corner frequency of the accelerometer lag of a load-relief law.
+    - `own`: code of the law `own`, with the number of its columns in `gains`.
 
     A `count_rad` of 0 is an ideal converter, a `dac_step_rad` of 0 an ideal DAC, and an infinite limit is no limit.
     Raises ValueError with key, value and allowed values.
@@ -210,13 +213,14 @@ def build_computer(
         angle_error_limit_rad=angle_error_limit_rad,
         law=make_law(
             law,
-            _placed(pool, "gains", gains, 2 * len(GAINS[law])),
+            _placed(pool, "gains", gains, 2 * (own.count if own else len(GAINS[law]))),
             sample_ns,
             pitch_filter,
             yaw_filter or pitch_filter,
             moving=moving_filter,
             integral_limit_rad=integral_limit_rad,
             relief_hz=relief_hz or 0.0,
+            own=own,
         ),
         command_limit_rad=command_limit_rad,
         dac_step_rad=dac_step_rad,

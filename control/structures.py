@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-Law = Literal["pd", "pid", "load-relief", "incidence-relief", "drift", "pid-drift"]
-"""The control laws (control/laws, design/laws)."""
+Law = Literal["pd", "pid", "load-relief", "incidence-relief", "drift", "pid-drift", "own"]
+"""The control laws (control/laws, design/laws). `own` is that of a Python file of the user."""
 LAWS: tuple[Law, ...] = get_args(Law)
 
 GAINS: dict[Law, tuple[str, ...]] = {
@@ -15,7 +15,10 @@ GAINS: dict[Law, tuple[str, ...]] = {
     "incidence-relief": ("k_p", "k_d_s", "k_alpha", "percussion_m", "accel_per_incidence_mps2"),
     "drift": ("k_p", "k_d_s", "k_zd_radspm", "k_z_radpm"),
     "pid-drift": ("k_p", "k_d_s", "k_i_ps", "k_zd_radspm", "k_z_radpm"),
+    "own": (),
 }
+OWN = "own_"
+"""The beginning of the columns of a gain table that belong to the law `own`, one for each of its variables."""
 GAIN_NAMES = tuple(dict.fromkeys(name for names in GAINS.values() for name in names))
 RELIEF: tuple[Law, ...] = ("load-relief", "incidence-relief")
 """The laws that use an accelerometer signal after a lag."""

@@ -22,9 +22,9 @@ from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run import guard
 from maxq.sim.run.flight_software import checked
 from maxq.sim.run.fly import fly as fly_once
-from maxq.sim.run.instances import module_of
 from maxq.sim.scenario.flight_code import CodeFile, code_hash
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.sim.scenario.python_file import imported
 from maxq.tools import simrun
 
 Printed = pytest.CaptureFixture[str]
@@ -296,9 +296,9 @@ def test_flight_code_runs_from_its_source_and_not_from_a_cache(tmp_path: Path) -
         cached.parent.mkdir(exist_ok=True)
         cached.write_bytes(importlib.util.MAGIC_NUMBER + (1).to_bytes(4, "little") + bytes(8) + forged)
     try:
-        assert module_of(str(law), "0" * 64).GAIN == 1.0
+        assert imported(str(law), "0" * 64).GAIN == 1.0
     finally:
-        module_of.cache_clear()
+        imported.cache_clear()
         sys.modules.pop("gains", None)
     assert sys.pycache_prefix is None
 

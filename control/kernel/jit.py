@@ -204,6 +204,28 @@ def _bare_pointer(array):  # type: ignore[no-untyped-def]  # Numba compares both
     return lambda array: _address(array)  # noqa: PLW0108  # Numba compiles this body: it cannot be the intrinsic itself
 
 
+def address_of(array: Array) -> int:
+    """Return the address of the first element of an array, for a call of C code with a pointer to the array."""
+    return int(array.ctypes.data)
+
+
+@intrinsic  # type: ignore[untyped-decorator]  # Numba has no types
+def _as_integer(context: Any, pointer: Any) -> Any:
+    """Return the address in a pointer (Numba intrinsic)."""
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.ptrtoint(arguments[0], context.get_value_type(types.int64))
+
+    return types.int64(pointer), build
+
+
+@overload(address_of, target="cpu")
+def _address_of(array):  # type: ignore[no-untyped-def]  # as above
+    if isinstance(array, types.Array):
+        return lambda array: _as_integer(_address(array))
+    return lambda array: _as_integer(array)  # noqa: PLW0108  # as above
+
+
 def integer(record: Any, name: str) -> int:
     """Return an integer of a record: a compile-time constant if the record's type contains its value.
 

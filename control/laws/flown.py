@@ -22,11 +22,13 @@ from maxq.control.laws.load_relief import (
     tick_incidence_relief,
     tick_load_relief,
 )
+from maxq.control.laws.own import OwnLaw, OwnState, start_own, tick_own
 from maxq.control.laws.pd import LawInputs, PdRecord, PdState, make_pd, start_pd, tick_pd
 from maxq.control.laws.pid import Pid, PidState, start_pid, tick_pid
 from maxq.control.structures import DRIFT, INTEGRAL, LAWS, RELIEF, Law
 
 _LOAD_RELIEF, _INCIDENCE_RELIEF = map(LAWS.index, RELIEF)
+_OWN = LAWS.index("own")
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class FlownLaw:
     pd: PdRecord
     pid: Pid
     relief: LoadRelief
+    own: OwnLaw
 
 
 @dataclass
@@ -55,6 +58,7 @@ class LawStates:
     pid: PidState
     relief: LoadReliefState
     drift: DriftState
+    own: OwnState
 
 
 def make_law(
@@ -65,11 +69,13 @@ def make_law(
     moving: MovingFilter | None = None,
     integral_limit_rad: float,
     relief_hz: float,
+    own: OwnLaw | None = None,
 ) -> FlownLaw:
     """Return the parameters of `law` with its `gains` and its bending filters in pitch and yaw.
 
     `moving` is a filter that changes over the flight. `integral_limit_rad` bounds an integral; `relief_hz` is the
-    corner frequency of the accelerometer lag of a load-relief law. Raises ValueError as `make_pd` does.
+    corner frequency of the accelerometer lag of a load-relief law. `own` is the code of the law of that name. Raises
+    ValueError as `make_pd` does.
     """
     return FlownLaw(
         kind=LAWS.index(law),
@@ -79,6 +85,7 @@ def make_law(
         pd=make_pd(gains, sample_ns, *filters, moving=moving),
         pid=Pid(integral_limit_rad),
         relief=LoadRelief(lag_share(relief_hz, sample_ns / 1.0e9)),
+        own=own or OwnLaw(),
     )
 
 
@@ -89,6 +96,7 @@ def start_laws(law: FlownLaw, state: LawStates) -> None:
     start_pid(state.pid)
     start_load_relief(state.relief)
     start_drift(state.drift)
+    start_own(state.own)
 
 
 @kernel
@@ -113,6 +121,8 @@ def tick_law(law: FlownLaw, pool: Array, state: LawStates, given: LawInputs) -> 
         return tick_load_relief(law.pd, law.relief, pool, state.pd, state.relief, given)
     if law.kind == _INCIDENCE_RELIEF:
         return tick_incidence_relief(law.pd, law.relief, pool, state.pd, state.relief, given)
+    if law.kind == _OWN:
+        return tick_own(law.own, law.pd, pool, state.own, state.pd, given)
     if law.drift == 1:
         return tick_drift(law.pd, law.pid, pool, state.pd, state.pid, state.drift, given, law.integral)
     if law.integral == 1:

@@ -8,7 +8,7 @@ linear model is in design/laws/pd.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, NamedTuple
 
@@ -40,11 +40,13 @@ class GainSchedule:
     - with `incidence-relief`, `k_alpha` and the parameters of the estimate of the angle of attack
       (laws/load_relief.py);
     - with feedback of the drift, `k_zd_radspm` (rad s/m) and `k_z_radpm` (rad/m) (laws/drift.py).
+
+    `own` contains the columns of a law of the user (laws/own.py), which has no other gains.
     """
 
     at: Sequence[float]
-    k_p: Sequence[float]
-    k_d_s: Sequence[float]
+    k_p: Sequence[float] = ()
+    k_d_s: Sequence[float] = ()
     k_i_ps: Sequence[float] = ()
     k_a_s2pm: Sequence[float] = ()
     k_alpha: Sequence[float] = ()
@@ -53,16 +55,21 @@ class GainSchedule:
     k_zd_radspm: Sequence[float] = ()
     k_z_radpm: Sequence[float] = ()
     over: Over = "time_s"
+    own: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> Sequence[float]:
+        """Return the values of a gain."""
+        return self.own[name] if name in self.own else getattr(self, name)  # type: ignore[no-any-return]  # a gain
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Return the names of the gains."""
-        return tuple(name for name in GAIN_NAMES if len(getattr(self, name)) > 0)
+        return (*(name for name in GAIN_NAMES if len(getattr(self, name)) > 0), *self.own)
 
     @property
     def table(self) -> dict[str, Sequence[float]]:
         """Return the columns by name, the variable of the schedule first."""
-        return {self.over: self.at, **{name: getattr(self, name) for name in self.columns}}
+        return {self.over: self.at, **{name: self[name] for name in self.columns}}
 
 
 @dataclass(frozen=True)
@@ -111,10 +118,10 @@ def gains_table(pitch: GainSchedule, yaw: GainSchedule | None = None) -> Cubics:
     tables = []
     for axis, schedule in (("pitch", pitch), ("yaw", yaw or pitch)):
         for key in pitch.columns:
-            given, wanted = len(getattr(schedule, key)), len(schedule.at)
+            given, wanted = len(schedule[key]), len(schedule.at)
             if given != wanted or wanted == 0:
                 raise ValueError(f"gains of {axis}: {key} has {given} values: allowed is {max(wanted, 1)}")
-        columns = np.column_stack([getattr(schedule, key) for key in pitch.columns])
+        columns = np.column_stack([schedule[key] for key in pitch.columns])
         tables.append(fit(schedule.at, columns, "linear"))
     return merge(tables)
 

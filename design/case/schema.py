@@ -39,8 +39,9 @@ from maxq.sim.input.documents import Text
 from maxq.sim.input.errors import ScenarioError, refuse
 from maxq.sim.input.files import builtin_files, find, named_in_file
 from maxq.sim.input.values import Positive, Section, at_time, optional
+from maxq.sim.scenario.flight_code import PlugIn
 from maxq.sim.scenario.loader import LoadedScenario, load_file, load_scenario, read_design
-from maxq.sim.scenario.schema_design import Design, LoadReliefSection
+from maxq.sim.scenario.schema_design import LAW_TEXT, PLUG_IN_TEXT, Design, LoadReliefSection, check_plug_in
 
 ObjectiveName = Literal["first-mode-peak", "least-margin", "load", "bending-moment", "goals"]
 """The keys of `design.optimise.criteria.OBJECTIVES`."""
@@ -265,12 +266,8 @@ class Case(Basis, CaseHead):
     stages: tuple[Annotated[int, Field(ge=1, le=MAX_STAGES)], ...] | None = optional(
         "stages to design, from 1; others use the scenario's design (default: all with operating points)"
     )
-    law: Law = optional(
-        "control law; pd: proportional-derivative with a bending filter; pid: pd with an integral; load-relief: pd "
-        "with feedback of lateral acceleration; incidence-relief: pd with feedback of an estimated angle of attack; "
-        "drift: pd with feedback of velocity and displacement across the path; pid-drift: drift with an integral",
-        "pd",
-    )
+    law: Law = optional(LAW_TEXT, "pd")
+    plug_in: PlugIn | None = optional(PLUG_IN_TEXT)
     blend: BetweenTimes | None = optional(
         "bounds of the weights of the vehicle's further rate gyros, which are variables (default: the first gyro alone)"
     )
@@ -290,6 +287,9 @@ class Case(Basis, CaseHead):
 
     def _check(self) -> None:
         super()._check()
+        check_plug_in(self)
+        if self.law == "own" and self.loop != "sampled":
+            raise refuse("has no continuous form of the law own", "sampled", "loop")
         if (self.points is None) == (self.scenario == ""):
             raise refuse("names both a flight and points, or neither", "one of scenario, points", "scenario")
         robust: list[tuple[Robust | None, tuple[str | int, ...]]] = [(self.robust, ("robust",))]

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from maxq.control.kernel.records import Array, IntArray
+from maxq.control.structures import OWN
 from maxq.design.laws.schedule import UnsolvableError
 
 if TYPE_CHECKING:
     from maxq.design.case.schema import VariableSection
 
-GROUPS = {"gains": ("k_",), "filter": ("quadratic[", "first_order["), "blend": ("weight of gyro ",)}
+GROUPS = {"gains": ("k_", OWN), "filter": ("quadratic[", "first_order["), "blend": ("weight of gyro ",)}
 """The beginnings of the names of variables in each group."""
 
 
@@ -30,7 +31,7 @@ def kind_of(variable: str) -> str:
 
 def is_logarithmic(variable: str) -> bool:
     """Return True for a variable that is the logarithm of the quantity in its name."""
-    return kind_of(variable).endswith("_hz") or variable.startswith("k_")
+    return kind_of(variable).endswith("_hz") or variable.startswith(GROUPS["gains"])
 
 
 def in_units(variable: str, value: float) -> float:

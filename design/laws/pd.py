@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -80,14 +80,14 @@ class Pd:
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
         f = np.asarray(frequencies_hz)
-        loops = [_on_axis(each, f) for each in self.loops]
+        loops = [on_axis(each, f) for each in self.loops]
         lag, change = np.ones(f.shape, np.complex128), np.zeros(f.shape, np.complex128)
         if self.lag is not None:
             lag, change = self.lag.with_slopes(np.log(f))[0], self.lag.change_with_slopes(np.log(f))[0]
         return np.asarray(self.filter_response(f)[..., None] * self._of_inputs(loops, lag, change))
 
     def filter_response(self, frequencies_hz: ArrayLike) -> ComplexArray:
-        return _on_axis(self.filter, np.asarray(frequencies_hz))
+        return on_axis(self.filter, np.asarray(frequencies_hz))
 
     @property
     def _per_mps2(self) -> float:
@@ -153,7 +153,7 @@ class Pd:
         return replace(self, **{name: factor * getattr(self, name) for name in names})
 
 
-def _on_axis(filter_: AnyFilter, frequencies_hz: Array) -> ComplexArray:
+def on_axis(filter_: AnyFilter, frequencies_hz: Array) -> ComplexArray:
     if filter_ is None:
         return np.ones(frequencies_hz.shape, np.complex128)
     return filter_.frequency_response(2.0 * np.pi * frequencies_hz)
@@ -209,27 +209,32 @@ class PdDesign:
 
         `at` is a value of the scheduling quantity, as in `law.DesignedLaw`.
         """
-        law = PdDesign.of(design)
-        laws = [law.at(at, "pitch", None), law.at(at, "yaw", None)]
-        names = law.pitch.columns
+        law, planes = PdDesign.of(design), get_args(Plane)
         pitch, yaw = (
-            CsvTable("", {law.over: np.array([at]), **{name: np.array([getattr(x, name)]) for name in names}})
-            for x in laws
+            CsvTable("", {law.over: np.array([at])} | {k: np.array([x]) for k, x in law.gains_at(at, plane).items()})
+            for plane in planes
         )
         gains = design.gains.model_copy(update={"table": pitch, "yaw": None, "yaw_table": yaw})
         held = _section((law.filter(at), law.discretization, law.prewarp_hz))
         filter_ = FilterSection.model_validate(held) if law.filter.moves else design.filter
         return design.model_copy(update={"gains": gains, "filter": filter_, "adaptive": None})
 
-    def at(self, at: float, plane: Plane, sample_s: float | None) -> Pd:
+    def gains_at(self, at: float, plane: Plane) -> dict[str, float]:
+        """Return the gains of a plane by column, at a value of the scheduling quantity."""
         names = self.pitch.columns
         first = 0 if plane == "pitch" else len(names)
-        gains = self._table(at)[first : first + len(names)].tolist()
-        lag = None if self.relief_hz is None else Lag(self.relief_hz, sample_s)
-        blend = self.blend[0 if plane == "pitch" else 1]
+        return dict(zip(names, self._table(at)[first : first + len(names)].tolist(), strict=True))
+
+    def parts_at(self, at: float, plane: Plane, sample_s: float | None) -> tuple[Any, tuple[float, ...], Any]:
+        """Return the bending filter, the weights of the gyros and the loop filters, as `at` does for the law."""
         held = self.filter(at), self.discretization, self.prewarp_hz
         filter_, *loops = (own and as_flown(own, sample_s) for own in (held, *self.loops))
-        return Pd(**dict(zip(names, gains, strict=True)), filter=filter_, blend=blend, lag=lag, loops=tuple(loops))
+        return filter_, self.blend[0 if plane == "pitch" else 1], tuple(loops)
+
+    def at(self, at: float, plane: Plane, sample_s: float | None) -> Pd:
+        lag = None if self.relief_hz is None else Lag(self.relief_hz, sample_s)
+        filter_, blend, loops = self.parts_at(at, plane, sample_s)
+        return Pd(**self.gains_at(at, plane), filter=filter_, blend=blend, lag=lag, loops=loops)
 
     def tables(self) -> dict[str, Any]:
         def rows(schedule: GainSchedule) -> tuple[dict[str, float], ...]:

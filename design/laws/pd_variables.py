@@ -53,7 +53,8 @@ ValueAndSlopes = tuple[ComplexArray, ComplexArray, ComplexArray]
 """The values at points with their first and second derivatives with respect to x = ln f."""
 
 
-def _product(a: ValueAndSlopes, b: ValueAndSlopes) -> ValueAndSlopes:
+def product(a: ValueAndSlopes, b: ValueAndSlopes) -> ValueAndSlopes:
+    """Return the product of two functions, with its derivatives."""
     return a[0] * b[0], a[1] * b[0] + a[0] * b[1], a[2] * b[0] + 2.0 * a[1] * b[1] + a[0] * b[2]
 
 
@@ -122,7 +123,7 @@ class PdVariables:
             if fixed is None:
                 few = Rigid(*(getattr(task.rigid, f.name)[own] for f in fields(Rigid)))
                 fixed = least_gains(few, weights[own], wanted.rigid_hz, wanted.rigid_zeta, self.full)
-        self.gains: GainSchedules = GainSchedules(self.keys, nodes, weights, fixed, UNIT_OF[case.gains.over])
+        self.gains = self._schedules(nodes, weights, fixed, UNIT_OF[case.gains.over])
         self.further = task.further_gyros
         self.inputs = (*type(self).inputs, *(further_rate(k + 2) for k in range(self.further)))
         self.lag = Lag(case.load_relief.corner_hz, task.sample_s) if ACCELERATION in self.inputs else None
@@ -158,13 +159,20 @@ class PdVariables:
         b = self.task.case.filter.bounds
         quadratic = [math.log(b.zero_hz[end]), b.zero_zeta[end], math.log(b.pole_hz[end]), b.pole_zeta[end]]
         first_order = [math.log(b.first_order_zero_hz[end]), math.log(b.first_order_pole_hz[end])]
-        gains = [math.log(BOUNDS_OF.get(key, GAIN_BOUNDS)[end]) for key in self.keys]
-        per_key = self.gains.size // len(self.keys)  # 0 if the gains are not variables
         filter_ = quadratic * self.filter.quadratic + first_order * self.filter.first_order
         filter_ *= len(self.filter_nodes.nodes)
         weight = (self.task.case.blend or (0.0, 0.0))[end]
         of_loops = [x for loop in self.loops for x in quadratic * loop.quadratic + first_order * loop.first_order]
-        return np.array(filter_ + [gain for gain in gains for _ in range(per_key)] + [weight] * self.further + of_loops)
+        return np.array(filter_ + self._gain_bounds(end) + [weight] * self.further + of_loops)
+
+    def _schedules(self, nodes: Array, weights: Array, fixed: Array | None, unit: str) -> GainSchedules:
+        """Return the schedules of the gains."""
+        return GainSchedules(self.keys, nodes, weights, fixed, unit)
+
+    def _gain_bounds(self, end: int) -> list[float]:
+        """Return the bounds of the variables of the gain schedules, as `_bounds` does."""
+        per_key = self.gains.size // len(self.keys)  # 0 if the gains are not variables
+        return [math.log(BOUNDS_OF.get(key, GAIN_BOUNDS)[end]) for key in self.keys for _ in range(per_key)]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -281,7 +289,7 @@ class PdVariables:
                 value, first, second = np.exp(f0), f1 * axis[1], f2 * axis[1] ** 2 + f1 * axis[2]
                 filter_ = value, value * first, value * (first * first + second)
             for j, factor, curve in terms:
-                whole = _product(curve, filter_)
+                whole = product(curve, filter_)
                 for d in range(3):
                     out[d][:, i] += k[:, j] * factor * whole[d]
                 slopes[:, i, j] += k[:, j] * factor * whole[0]
@@ -345,8 +353,7 @@ class PdVariables:
         (46) limits the filter gain, (47) the rigid-body frequency, and (48) its damping ratio.
         """
         n = self.filter.size
-        k_p, k_d = np.exp(own[:, n : n + 2]).T
-        omega, zeta, by_omega, by_zeta = self._rigid_body(k_p, k_d)
+        omega, zeta, by_omega, by_zeta = self._rigid_body(own)
         out = []
         for number, value, least, by in (
             (HERTZ, omega / (2.0 * math.pi), self.rigid_hz, by_omega),
@@ -372,22 +379,26 @@ class PdVariables:
                 at += loop.size
         return [*out, *self._in_wind(own)]
 
-    def _rigid_body(self, k_p: Array, k_d: Array) -> tuple[Array, Array, Array, Array]:
+    def _rigid_gains(self, own: Array) -> tuple[Array, Array]:
+        """Return k_p and k_d (2, plants), and the gradients of their logarithms (2, plants, own)."""
+        n, by = self.filter.size, np.zeros((2, len(own), self.own_size))
+        by[0, :, n] = by[1, :, n + 1] = 1.0
+        return np.exp(own[:, n : n + 2]).T, by
+
+    def _rigid_body(self, own: Array) -> tuple[Array, Array, Array, Array]:
         """Return omega (rad/s) and zeta of the rigid body, (plants,), and the gradients of their logarithms.
 
         The gradients are with respect to the own parameters. The characteristic polynomial for "paper" is (35) and
         (36), s2 + M_delta k_d s + M_delta k_p. For "aerodynamic" (erratum 12) it is s2 + (M_delta k_d - M_q)
         s + M_delta k_p - M_alpha.
         """
-        r, n = self.task.rigid, self.filter.size
+        r, ((k_p, k_d), (by_k_p, by_k_d)) = self.task.rigid, self._rigid_gains(own)
         spring, damper = r.m_delta * k_p, r.m_delta * k_d
         stiffness = np.maximum(spring - (r.m_alpha if self.full else 0.0), 1e-9)
         damping = np.maximum(damper - (r.m_q if self.full else 0.0), 1e-9)
         omega = np.sqrt(stiffness)
-        by_omega, by_zeta = np.zeros((2, len(k_p), self.own_size))
-        by_omega[:, n] = 0.5 * spring / stiffness
-        by_zeta[:, n], by_zeta[:, n + 1] = -by_omega[:, n], damper / damping
-        return omega, damping / (2.0 * omega), by_omega, by_zeta
+        by_omega = (0.5 * spring / stiffness)[:, None] * by_k_p
+        return omega, damping / (2.0 * omega), by_omega, (damper / damping)[:, None] * by_k_d - by_omega
 
     # --- laws
     def controllers(self, variables: Array) -> list[Controller]:
@@ -403,10 +414,13 @@ class PdVariables:
         loops = tuple(own and as_flown(own, self.task.sample_s) for own in self._loop_filters(variables))
         blend = self._blend(variables)
         each = flown if self.filter_nodes.moves else flown * len(named)
-        return [
-            Pd(**gains, filter=filter_, blend=blend, lag=self.lag, loops=loops)
-            for gains, filter_ in zip(named, each, strict=True)
-        ]
+        return [self._controller(gains, filter_, blend, loops) for gains, filter_ in zip(named, each, strict=True)]
+
+    def _controller(
+        self, gains: dict[str, float], filter_: AnyFilter, blend: tuple[float, ...], loops: tuple[AnyFilter, ...]
+    ) -> Controller:
+        """Return the law at a plant."""
+        return Pd(**gains, filter=filter_, blend=blend, lag=self.lag, loops=loops)
 
     def _loop_filters(self, variables: Array) -> tuple[LoopFilter | None, ...]:
         ends = np.cumsum([loop.size for loop in self.loops])
@@ -421,11 +435,15 @@ class PdVariables:
         y, u, *_ = self.split(variables)
         of_key = dict(zip(self.keys, self.gains.at_nodes(u).tolist(), strict=True))
         of_key |= dict(zip(AIR, self.air.tolist(), strict=True)) if self.by_incidence else {}
-        gains = GainSchedule(self.gains.nodes.tolist(), over=self.task.case.gains.over, **of_key)
+        gains = self._schedule(self.gains.nodes.tolist(), of_key)
         blend, relief_hz = self._blend(variables), None if self.lag is None else self.lag.corner_hz
         form, case = self.filter_nodes.schedule(y), self.task.case
         loops = self._loop_filters(variables)
         return PdDesign(gains, gains, form, "prewarped", self.prewarp_hz, case.law, (blend, blend), relief_hz, loops)
+
+    def _schedule(self, at: list[float], columns: dict[str, list[float]]) -> GainSchedule:
+        """Return the gain schedule of a design with the values of its columns."""
+        return GainSchedule(at, over=self.task.case.gains.over, **columns)
 
     def variables_of(self, law: DesignedLaw, clipped: bool = True) -> Array | None:
         if not isinstance(law, PdDesign):
@@ -435,7 +453,7 @@ class PdVariables:
             return None
         if law.pitch.columns[: len(self.keys)] != self.keys or law.over != self.task.case.gains.over:
             return None
-        given = np.array([getattr(law.pitch, key) for key in self.keys])
+        given = np.array([law.pitch[key] for key in self.keys])
         if len(law.blend[0]) > 1 + self.further:
             return None
         weights = np.zeros(self.further)

@@ -9,6 +9,7 @@ from typing import Any
 from maxq.design.laws.drift import DriftVariables, PidDriftVariables
 from maxq.design.laws.law import DesignedLaw, LawVariables
 from maxq.design.laws.load_relief import IncidenceReliefVariables, LoadReliefVariables
+from maxq.design.laws.own import OwnDesign, OwnVariables
 from maxq.design.laws.pd import PdDesign
 from maxq.design.laws.pd_variables import PdVariables
 from maxq.design.laws.pid import PidVariables
@@ -38,6 +39,7 @@ LAWS: dict[str, LawKind] = {
     "drift": LawKind(DriftVariables, DriftVariables.inputs),
     "pid-drift": LawKind(PidDriftVariables, PidDriftVariables.inputs),
     "incidence-relief": LawKind(IncidenceReliefVariables, IncidenceReliefVariables.inputs),
+    "own": LawKind(OwnVariables, of_design=OwnDesign.of),
 }
 
 

@@ -130,6 +130,7 @@ class Columns:
       before `begins_by`.
     - `sets`: alternative sets of required columns, of which exactly one must be complete.
     - `positive`, `not_negative`: columns with these bounds.
+    - `own`: the beginning of the names of further columns, which replace all sets.
     - `grid`: instead of an axis, at least one of these columns, with the other columns at each combination of their
       values (sim/vehicle/air/tables.py).
 
@@ -147,6 +148,7 @@ class Columns:
     other_axes: tuple[str, ...] = ()
     falling: tuple[str, ...] = ()
     foreign: Foreign | None = None
+    own: str = ""
 
     def axis_of(self, table: CsvTable) -> str:
         """Return the name of the table's independent column: one of `other_axes`, or `axis` by default."""
@@ -188,7 +190,8 @@ class Columns:
         def table(item: dict[str, Any], **more: Any) -> dict[str, Any]:
             properties = more | dict.fromkeys(self.known(), item)
             required = [self.axis] if self.axis and not self.other_axes else []
-            return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
+            closed = {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
+            return closed | ({"patternProperties": {f"^{self.own}": item}} if self.own else {})
 
         return {
             "anyOf": [
@@ -255,12 +258,18 @@ class Columns:
         return CsvTable("", {name: np.array(numbers) for name, numbers in cells.items()})
 
     def _check_name(self, name: str, key: Path = (), file: str = "", place: str = "") -> None:
-        if self.named and name not in self.known():
+        if self.named and name not in self.known() and not self._is_own(name):
             hint = suggestion(name, self.known(), cutoff=0.75)  # for less similar names, the list is more helpful
             problem = f"unknown column {show_value(name)}" + (f"; {hint}" if hint else "")
             raise refuse(problem, self.allowed(), key, file=file, place=place)
 
+    def _is_own(self, name: str) -> bool:
+        return bool(self.own) and name.startswith(self.own)
+
     def _check(self, table: CsvTable) -> None:
+        if any(map(self._is_own, table.columns)):
+            self._check_own(table)
+            return
         complete = [names for names in self.sets if all(name in table for name in names)]
         over = self.axis_of(table)
         if self.axis and (over not in table or not complete):
@@ -277,6 +286,17 @@ class Columns:
         clash = [name for name in table.columns if name in also]
         if clash:
             raise table.refusal(f"column {clash[0]} cannot be combined with {complete[0][0]}", self.allowed())
+        self._check_lengths(table, over)
+
+    def _check_own(self, table: CsvTable) -> None:
+        """Check a table with columns of its own, which has the independent column and no others."""
+        over, others = self.axis_of(table), [name for name in table.columns if not self._is_own(name)]
+        if others != [over]:
+            allowed = f"{self.axis} (or {', '.join(self.other_axes)}), and columns {self.own}..."
+            raise table.refusal(f"has the columns {', '.join(others) or 'none'} next to {self.own}...", allowed)
+        self._check_lengths(table, over)
+
+    def _check_lengths(self, table: CsvTable, over: str) -> None:
         lengths = {name: len(column) for name, column in table.columns.items()}
         if min(lengths.values(), default=0) == 0:
             raise table.refusal("the table has no rows", "one row or more")

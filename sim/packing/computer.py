@@ -16,12 +16,13 @@ from maxq.control.guidance import rate_programme
 from maxq.control.kernel.limits import MAX_BURNS, MAX_INJECTIONS, MAX_TONES
 from maxq.control.kernel.tables import NO_TABLE, Cubics, Method, Pool, fit
 from maxq.control.laws.adaptive import Adaptive, make_adaptive
+from maxq.control.laws.own import OwnLaw
 from maxq.control.laws.pd import GainSchedule, gains_table
 from maxq.control.loop_filters import LoopFilters, make_loop_filters
 from maxq.control.orbit_guidance import OrbitGuidance
 from maxq.control.roll import Roll, make_roll
 from maxq.control.sensors import Sensors, make_sensors
-from maxq.control.structures import INTEGRAL, Law
+from maxq.control.structures import GAIN_NAMES, INTEGRAL, OWN, Law
 from maxq.sim.flight import injection as signals
 from maxq.sim.flight.parameters import NEVER
 from maxq.sim.input.remembered import cached_by_identity
@@ -29,6 +30,7 @@ from maxq.sim.input.tables_csv import CsvTable
 from maxq.sim.input.values import to_ns
 from maxq.sim.packing.environment import pack_earth
 from maxq.sim.packing.integration import LONGEST_S
+from maxq.sim.packing.own_law import own_code, pack_own_law
 from maxq.sim.scenario.schema_design import AdaptiveSection, Design, FilterSection, GainsSection
 from maxq.sim.scenario.schema_launch import Cutoff, OrbitTarget, Restart
 from maxq.sim.scenario.schema_scenario import Scenario
@@ -81,6 +83,8 @@ def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
         return build_computer(pool, sample_ns=to_ns(LONGEST_S if coarse else scenario.run.step_s), control_on=False)
     sample_ns, external = to_ns(computer.sample_s), computer.law == "external"
     flown = design.filter if design and not external else None
+    plugged = design is not None and design.law == "own"
+    own = _own_law(design, computer.sample_s) if plugged and not external else None
     return build_computer(
         pool,
         sample_ns=sample_ns,
@@ -91,7 +95,7 @@ def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
         angle_error_limit_rad=math.radians(computer.angle_error_limit_deg),
         command_limit_rad=math.radians(computer.command_limit_deg),
         law=design.law if design else "pd",
-        gains=_gains(design.gains) if design else None,
+        gains=_gains(design.gains) if design and not (external and plugged) else None,
         over=design.gains.over if design else "time_s",
         integral_limit_rad=math.radians(design.gains.integral_limit_deg or math.inf) if design else math.inf,
         programme=_programme(scenario.guidance.programme, scenario.guidance.method),
@@ -107,7 +111,19 @@ def pack_computer(scenario: Scenario, pool: Pool, stage: int = 0) -> Computer:
         relief_hz=design.load_relief.corner_hz if design and design.load_relief and not external else None,
         adaptive=_adaptive(design.adaptive, computer.sample_s, design.law) if design and not external else None,
         loops=_loop_filters(scenario.design, stage, computer.sample_s) if scenario.design and not external else None,
+        own=own,
     )
+
+
+@cached_by_identity
+def _own_law(design: Design, sample_s: float) -> OwnLaw:
+    assert design.plug_in is not None  # a check of the section
+    code, gains = own_code(design.plug_in), design.gains
+    if code.columns != design.gain_names:
+        problem = f"the variables are {', '.join(code.names)}, the columns of the design {', '.join(design.gain_names)}"
+        raise code.error("variables", problem, "a column own_NAME for each variable, in their order")
+    first = tuple(float(gains.table[name][0]) for name in code.columns)
+    return pack_own_law(design.plug_in, first, sample_s)
 
 
 @cached_by_identity
@@ -149,10 +165,13 @@ def _gains(gains: GainsSection) -> Cubics:
 def gain_schedules(gains: GainsSection) -> tuple[GainSchedule, GainSchedule]:
     """Return the gains in pitch and in yaw, which are the same object if yaw uses the gains of pitch."""
     pitch, yaw = gains.axes
-    names = [name for name in GainSchedule.__dataclass_fields__ if name in pitch]
+    names = [name for name in GAIN_NAMES if name in pitch]
+    own = [name for name in pitch.columns if name.startswith(OWN)]
 
     def schedule(table: CsvTable) -> GainSchedule:
-        return GainSchedule(at=list(table[gains.over]), over=gains.over, **{name: list(table[name]) for name in names})
+        columns = {name: list(table[name]) for name in names}
+        mine = {name: list(table[name]) for name in own}
+        return GainSchedule(at=list(table[gains.over]), over=gains.over, **columns, own=mine)
 
     first = schedule(pitch)
     return first, first if yaw is pitch else schedule(yaw)

@@ -23,7 +23,7 @@ from maxq.sim.run import guard
 from maxq.sim.run.guard import MEMORY, Arrays, Worker, advance_to, complaint, instance_for, worker_for
 from maxq.sim.run.held_code import CodeWindows, load_kernels
 from maxq.sim.run.instances import Instance, Setup, Unusable, ended
-from maxq.sim.scenario.flight_code import code_hash
+from maxq.sim.scenario.flight_code import announce, code_hash
 from maxq.sim.scenario.loader import LoadedScenario
 from maxq.sim.scenario.schema_launch import OrbitTarget
 from maxq.sim.scenario.schema_vehicle import ComputerSection
@@ -37,13 +37,6 @@ def title(computer: ComputerSection) -> str:
     """Return the displayed name or the address of the flight code, for messages."""
     found = computer.library or computer.python
     return found.title if found is not None else computer.address or ""
-
-
-@lru_cache(maxsize=64)
-def _announce(code: str, sha256: str) -> None:
-    """Log a warning, once per process, that external code is run, because a foreign log or scenario may name code."""
-    mark = f" (sha256 {sha256[:16]})" if sha256 else ""
-    logging.getLogger("maxq").warning("maxq: flies flight code from outside: %s%s", code, mark)
 
 
 @lru_cache(maxsize=64)
@@ -83,7 +76,7 @@ def checked(loaded: LoadedScenario) -> ComputerSection:
             problem = f"is not the {'data' if key == 'data' else 'flight code'} that was flown"
             raise ScenarioError(loaded.label, problem, where, value=file.title, allowed=allowed)
     code = computer.library or computer.python
-    _announce(title(computer), code.sha256 if code is not None else "")
+    announce("flies flight code", title(computer), code.sha256 if code is not None else "")
     return computer
 
 

@@ -40,8 +40,9 @@ import numpy as np
 from maxq.control.external import FswInputs, FswOutputs, ProtectedCall, call_once
 from maxq.control.held_inputs import Superposition, superpose
 from maxq.control.kernel.records import Array, Records, blank, dtype_of
-from maxq.sim.run.instances import Instance, Outputs, Setup, StepFunction, described, ended, module_of, started
+from maxq.sim.run.instances import Instance, Outputs, Setup, StepFunction, ended, started
 from maxq.sim.run.protection import OVERWROTE_TEXT, FloatingPoint, MemoryRanges
+from maxq.sim.scenario.python_file import described, imported
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
 WINDOW_S, SHORTEST_S, SHORTER = 5.0, 2.0, 0.3
@@ -314,7 +315,7 @@ def command_offset(before: Array, after: Array) -> float:
 
 def _forget_modules(folder: Path) -> None:
     """Remove the modules in a folder from this process, so that the next import executes them again."""
-    module_of.cache_clear()
+    imported.cache_clear()
     for name, module in list(sys.modules.items()):
         file = getattr(module, "__file__", None)
         if file and folder in Path(file).parents:

@@ -15,7 +15,6 @@ from __future__ import annotations
 import _ctypes
 import contextlib
 import ctypes
-import importlib.util
 import os
 import signal
 import socket
@@ -23,10 +22,7 @@ import struct
 import sys
 import time
 from abc import ABC, abstractmethod
-from functools import lru_cache
 from multiprocessing.connection import Pipe
-from pathlib import Path
-from types import ModuleType
 from typing import Any, NoReturn
 from urllib.parse import urlsplit
 
@@ -35,6 +31,7 @@ from maxq.control.kernel.records import dtype_of
 from maxq.sim.run.protection import FloatingPoint, GuardedMemory, MemoryRanges, Protection, own_floating_point
 from maxq.sim.run.sandbox import confine, sandbox_problem
 from maxq.sim.scenario.flight_code import SETTINGS_BYTES, CodeFile
+from maxq.sim.scenario.python_file import ImportFailure, described, imported
 from maxq.sim.scenario.schema_vehicle import ComputerSection
 
 _FUNCTIONS = ("maxq_fsw_abi", "maxq_fsw_bytes", "maxq_fsw_init", "maxq_fsw_step", "maxq_fsw_close")
@@ -214,7 +211,7 @@ class _PythonClass(_InPython):
     def __init__(self, code: CodeFile, setup: Setup) -> None:
         super().__init__()
         try:
-            found = getattr(module_of(code.file, code.sha256), code.member, None)
+            found = getattr(imported(code.file, code.sha256), code.member, None)
             if found is None:
                 raise Unusable(f"has no class {code.member}")
             if not callable(getattr(found, "step", None)):
@@ -223,6 +220,8 @@ class _PythonClass(_InPython):
             self.version = int(getattr(self._object, "interface", 1))
         except Unusable:
             raise
+        except ImportFailure as failure:
+            raise Unusable(str(failure)) from None
         except BaseException as error:
             raise Unusable(described(error)) from None
 
@@ -240,31 +239,6 @@ class _PythonClass(_InPython):
     def close(self) -> None:
         if hasattr(self._object, "close"):
             self._object.close()
-
-
-@lru_cache(maxsize=8)
-def module_of(file: str, sha256: str) -> ModuleType:
-    """Return the module in a Python file, which may import other files of its folder. Raises Unusable.
-
-    Compiled modules in folders __pycache__ are not used, because the hash of the code does not cover them.
-    """
-    spec = importlib.util.spec_from_file_location(f"maxq_flight_code_{sha256[:12]}", file)
-    if spec is None or spec.loader is None:
-        raise Unusable("is no Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    beside, elsewhere, writes_not = str(Path(file).parent), sys.pycache_prefix, sys.dont_write_bytecode
-    sys.path.insert(0, beside)
-    try:
-        sys.pycache_prefix, sys.dont_write_bytecode = os.devnull, True
-        spec.loader.exec_module(module)
-    except BaseException as error:
-        del sys.modules[spec.name]
-        raise Unusable(described(error)) from None
-    finally:
-        sys.path.remove(beside)
-        sys.pycache_prefix, sys.dont_write_bytecode = elsewhere, writes_not
-    return module
 
 
 HEADER = struct.Struct("=4sIq")
@@ -469,17 +443,6 @@ def end_name(code: int) -> str:
         return signal.Signals(-code).name
     except ValueError:
         return f"signal {-code}"
-
-
-def described(error: BaseException) -> str:
-    """Return a one-line description of an exception in flight code, with its file and line."""
-    trace, at = error.__traceback__, ""
-    while trace is not None:
-        file = trace.tb_frame.f_code.co_filename
-        if not file.startswith(str(Path(__file__).parents[2])) and "importlib" not in file:
-            at = f" ({Path(file).name}, line {trace.tb_lineno})"
-        trace = trace.tb_next
-    return " ".join(f"{type(error).__name__}: {error}".split()) + at
 
 
 def started(computer: ComputerSection, setup: Setup) -> Instance:

@@ -15,9 +15,11 @@ from __future__ import annotations
 
 import hashlib
 import ipaddress
+import logging
 import os
 import re
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -93,7 +95,7 @@ class CodeFile(Section):
         if not isinstance(value, Text) or not isinstance(info.context, Reading):
             raise refuse("names a file, but no files can be read here", "a table with file and sha256")
         is_source = info.field_name in ("sources", "data")
-        is_python = ".py" in value and not is_source
+        is_python = not is_source and (".py" in value or info.field_name == "plug_in")
         name, _, member = value.rpartition(":") if is_python else (str(value), "", "")
         if is_python and not (name.endswith(".py") and member.isidentifier()):
             raise refuse("names no class", 'a file and a class in it, e.g. "my_fsw.py:Autopilot"')
@@ -126,6 +128,13 @@ class CodeFile(Section):
         return f"{self.title} ({count}: {', '.join(self.files)})" if self.files else self.title
 
 
+@lru_cache(maxsize=64)
+def announce(what: str, code: str, sha256: str) -> None:
+    """Log a warning, once per process, that code from outside is run, because a foreign file may name code."""
+    mark = f" (sha256 {sha256[:16]})" if sha256 else ""
+    logging.getLogger("maxq").warning("maxq: %s from outside: %s%s", what, code, mark)
+
+
 def _loopback(text: str) -> str:
     found = _ADDRESS.fullmatch(text)
     allowed = "tcp://127.0.0.1:PORT or udp://127.0.0.1:PORT, of this machine"
@@ -155,6 +164,7 @@ def _file_schema(what: str) -> WithJsonSchema:
 
 
 LibraryFile = Annotated[CodeFile, _file_schema("name of a shared library")]
+PlugIn = Annotated[CodeFile, _file_schema("name of a Python file and a law in it, with a colon between")]
 PythonClass = Annotated[CodeFile, _file_schema("name of a Python file and a class in it, with a colon between")]
 SourceFiles = Annotated[CodeFile, _file_schema("name of a folder or file")]
 Address = Annotated[str, AfterValidator(_loopback)]

@@ -15,6 +15,7 @@ from maxq.control.structures import (
     INTEGRAL,
     MAX_SECTIONS,
     OVER,
+    OWN,
     RELIEF,
     STRUCTURES,
     Law,
@@ -24,14 +25,27 @@ from maxq.control.structures import (
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.tables_csv import LEAST_STEP, Columns, CsvTable
 from maxq.sim.input.values import NotNegative, Positive, Section, optional
+from maxq.sim.scenario.flight_code import PlugIn
 
 if TYPE_CHECKING:
     from maxq.control.filter_schedule import FilterSchedule
     from maxq.control.filters import BendingFilter
 
 GAIN_COLUMNS = Columns(
-    "time_s", sets=(("k_p", "k_d_s"),), optional=GAIN_NAMES[2:], not_negative=GAIN_NAMES[:5], other_axes=OVER[1:]
+    "time_s",
+    sets=(("k_p", "k_d_s"),),
+    optional=GAIN_NAMES[2:],
+    not_negative=GAIN_NAMES[:5],
+    other_axes=OVER[1:],
+    own=OWN,
 )
+LAW_TEXT = (
+    "control law; pd: proportional-derivative with a bending filter; pid: pd with an integral; load-relief: pd "
+    "with feedback of lateral acceleration; incidence-relief: pd with feedback of an estimated angle of attack; "
+    "drift: pd with feedback of velocity and displacement across the path; pid-drift: drift with an integral; own: "
+    "that of plug_in"
+)
+PLUG_IN_TEXT = "law own: Python file and the law in it, file.py:Law"
 
 
 class GainsSection(Section):
@@ -40,9 +54,10 @@ class GainsSection(Section):
     table: Annotated[CsvTable, GAIN_COLUMNS] = Field(
         description="k_p (rad/rad), k_d_s (s); pid: k_i_ps (1/s); load-relief: k_a_s2pm (rad per m/s2); "
         "incidence-relief: k_alpha (rad/rad) and the vehicle's percussion_m and accel_per_incidence_mps2; drift, "
-        "pid-drift: k_zd_radspm (rad per m/s) and k_z_radpm (rad per m), positive against the drift. Over time_s "
-        "(vehicle clock) or one of speed_mps (relative to the rotating Earth), mass_kg, dynamic_pressure_Pa (of that "
-        "speed in still air), which the computer receives without error"
+        "pid-drift: k_zd_radspm (rad per m/s) and k_z_radpm (rad per m), positive against the drift; own: in their "
+        "place, own_NAME for each variable NAME of the law. Over time_s (vehicle clock) or one of speed_mps (relative "
+        "to the rotating Earth), mass_kg, dynamic_pressure_Pa (of that speed in still air), which the computer "
+        "receives without error"
     )
     yaw: Literal["pitch"] | None = optional("gains as in pitch (the default without yaw_table)")
     yaw_table: Annotated[CsvTable, GAIN_COLUMNS] | None = optional("gains of the yaw axis")
@@ -320,6 +335,13 @@ DesignBasis = dict[str, Any]
 """The basis of a design, on which no flight depends (design/case/basis.py reads it)."""
 
 
+def check_plug_in(given: Any) -> None:
+    """Check that a design or a case names the file of the law `own`, and of this law only."""
+    if given.law == "own":
+        given.needs("plug_in", "law is own", "a Python file and the law in it, file.py:Law")
+    given.only_with(("plug_in",), given.law == "own", "law = 'own'")
+
+
 class StageLaw(Section):
     """The keys of the design that differ in a stage; absent keys have the values of the design."""
 
@@ -346,12 +368,8 @@ class Design(Section):
     name: str = optional("name of the design", "")
     description: str = optional("description, one sentence", "")
     vehicle: str = optional("name of its vehicle; another vehicle flies it on explicit request only", "")
-    law: Law = optional(
-        "control law; pd: proportional-derivative with a bending filter; pid: pd with an integral; load-relief: pd "
-        "with feedback of lateral acceleration; incidence-relief: pd with feedback of an estimated angle of attack; "
-        "drift: pd with feedback of velocity and displacement across the path; pid-drift: drift with an integral",
-        "pd",
-    )
+    law: Law = optional(LAW_TEXT, "pd")
+    plug_in: PlugIn | None = optional(PLUG_IN_TEXT)
     gains: GainsSection
     filter: FilterSection = FilterSection()
     loop_filters: LoopFiltersSection | None = optional("absent: the bending filter only")
@@ -369,6 +387,12 @@ class Design(Section):
 
     def _check(self) -> None:
         every = [self.gains, *(own.gains for own in self.stage if own.gains is not None)]
+        check_plug_in(self)
+        for gains, key in ((gains, key) for gains in every for key in ("table", "yaw_table")):
+            table = getattr(gains, key)
+            if table is not None and any(name.startswith(OWN) for name in table.columns) != (self.law == "own"):
+                verb, allowed = ("needs", f"columns {OWN}...") if self.law == "own" else ("has no", "law = 'own'")
+                raise table.refusal(f"the law {self.law} {verb} columns {OWN}...", allowed, at=("gains", key))
         for gains, key in ((gains, key) for gains in every for key in ("table", "yaw_table")):
             table = getattr(gains, key)
             for column in GAIN_NAMES[2:] if table is not None else ():
@@ -404,7 +428,8 @@ class Design(Section):
     @property
     def gain_names(self) -> tuple[str, ...]:
         """Return the names of the gains in the gain tables."""
-        return GAINS[self.law]
+        own = tuple(name for name in self.gains.table.columns if name.startswith(OWN))
+        return own if self.law == "own" else GAINS[self.law]
 
     @property
     def at_unit_gain(self) -> Design:
