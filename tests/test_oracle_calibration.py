@@ -1,4 +1,4 @@
-"""Calibration on synthetic measurements: known truth, SciPy's least squares of an own model, interruption, commands."""
+"""Calibration on synthetic measurements: known truth, SciPy's least squares of a separate model, interruption."""
 
 from __future__ import annotations
 
@@ -13,12 +13,19 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from maxq.control.kernel.records import Array
-from maxq.sim.campaign.calibration import Calibration, Interrupted, Options, calibrate, parameters_of, with_noise
+from maxq.sim.campaign.calibration import (
+    Calibration,
+    CalibrationOptions,
+    CalibrationStopped,
+    calibrate,
+    parameters_of,
+    with_noise,
+)
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import fly, logged_channels
-from maxq.sim.run.measured import Measured, MeasuredChannel, read_measured
+from maxq.sim.run.measured import MeasuredChannel, MeasuredSeries, read_measured
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
 
@@ -93,17 +100,17 @@ def flown(z: Array, shift_s: float = 0.0) -> dict[str, Array]:
 
 
 @pytest.fixture(scope="module")
-def measured() -> Measured:
+def measured() -> MeasuredSeries:
     rng, truth = np.random.default_rng(4), flown(TRUTH)
     series = []
     for name, sigma in SIGMA.items():
         values = truth[name] + rng.normal(0.0, sigma, len(TIMES))
         series.append(MeasuredChannel(name, name.rpartition("_")[2], name, TIMES, values, sigma))
-    return Measured("m.csv", tuple(series), ())
+    return MeasuredSeries("m.csv", tuple(series), ())
 
 
 @pytest.fixture(scope="module")
-def found(campaign: LoadedCampaign, measured: Measured, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+def found(campaign: LoadedCampaign, measured: MeasuredSeries, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
     return calibrate(campaign, measured, tmp_path_factory.mktemp("flights"))
 
 
@@ -122,7 +129,7 @@ def test_the_truth_is_within_two_standard_deviations(found: Calibration) -> None
     assert all(b.rms > 5.0 * a.rms for a, b in zip(found.after, found.before, strict=True))
 
 
-def test_estimate_and_covariance_are_those_of_scipy(found: Calibration, measured: Measured) -> None:
+def test_estimate_and_covariance_are_those_of_scipy(found: Calibration, measured: MeasuredSeries) -> None:
     """The oracle's model shares neither the draws nor the sampling; the prior is a residual of its own."""
 
     def residuals(z: Array) -> Array:
@@ -140,7 +147,7 @@ def test_estimate_and_covariance_are_those_of_scipy(found: Calibration, measured
 
 
 def test_shift_and_constant_errors_are_estimated_as_well(
-    campaign: LoadedCampaign, measured: Measured, tmp_path: Path
+    campaign: LoadedCampaign, measured: MeasuredSeries, tmp_path: Path
 ) -> None:
     rng, truth = np.random.default_rng(6), flown(TRUTH, SHIFT_S)
     height = MeasuredChannel(
@@ -148,7 +155,7 @@ def test_shift_and_constant_errors_are_estimated_as_well(
     )
     speed = MeasuredChannel("speed_mps", "m/s", "v", TIMES, truth["speed_mps"] + rng.normal(0.0, 0.2, len(TIMES)), 0.2)
     known = KEYS[:2]
-    found = calibrate(campaign, Measured("", (height, speed), ()), tmp_path, Options(known, 0.1, 0.2))
+    found = calibrate(campaign, MeasuredSeries("", (height, speed), ()), tmp_path, CalibrationOptions(known, 0.1, 0.2))
     (shift, _, shift_s, shift_sigma_s), (bias, unit, bias_m, bias_sigma_m) = found.nuisances
     assert (shift, bias, unit) == ("time shift", "bias of altitude_m", "m")
     assert abs(shift_s - SHIFT_S) < 3.0 * shift_sigma_s < 0.3
@@ -157,9 +164,9 @@ def test_shift_and_constant_errors_are_estimated_as_well(
 
 
 def test_an_interrupted_calibration_continues_with_the_same_bits(
-    campaign: LoadedCampaign, measured: Measured, tmp_path: Path
+    campaign: LoadedCampaign, measured: MeasuredSeries, tmp_path: Path
 ) -> None:
-    thrust = Options(KEYS[:1])
+    thrust = CalibrationOptions(KEYS[:1])
     found = calibrate(campaign, measured, tmp_path / "whole", thrust)
     calls = [0]
 
@@ -167,7 +174,7 @@ def test_an_interrupted_calibration_continues_with_the_same_bits(
         calls[0] += 1
         return calls[0] > 8
 
-    with pytest.raises(Interrupted):
+    with pytest.raises(CalibrationStopped):
         calibrate(campaign, measured, tmp_path / "part", thrust, stop=stop)
     stored = len(list((tmp_path / "part").glob("*.npy")))
     again = calibrate(campaign, measured, tmp_path / "part", thrust, workers=2)
@@ -220,12 +227,12 @@ def test_drag_and_speed_of_a_published_shot_are_found(tmp_path: Path) -> None:
 def test_noise_is_estimated_from_second_differences() -> None:
     values = 5.0 * np.arange(2000.0) + np.random.default_rng(8).normal(0.0, 0.7, 2000)
     (each,) = with_noise(
-        Measured("", (MeasuredChannel("altitude_m", "m", "h", np.arange(2000.0), values),), ())
+        MeasuredSeries("", (MeasuredChannel("altitude_m", "m", "h", np.arange(2000.0), values),), ())
     ).channels
     assert each.sigma == pytest.approx(0.7, rel=0.05)
     flat = MeasuredChannel("altitude_m", "m", "h", np.arange(5.0), np.zeros(5))
     with pytest.raises(CampaignError, match="its noise is unknown; give it by --sigma"):
-        with_noise(Measured("m.csv", (flat,), ()))
+        with_noise(MeasuredSeries("m.csv", (flat,), ()))
 
 
 def test_draws_of_texts_and_choices_are_not_calibrated(campaign: LoadedCampaign) -> None:
@@ -235,7 +242,7 @@ def test_draws_of_texts_and_choices_are_not_calibrated(campaign: LoadedCampaign)
 
 
 def test_the_command_writes_a_scenario_that_flies_and_a_page(
-    file: Path, measured: Measured, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    file: Path, measured: MeasuredSeries, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     columns = [TIMES, *(each.values for each in measured.channels)]
     rows = [",".join(f"{x:.6f}" for x in row) for row in zip(*columns, strict=True)]

@@ -13,10 +13,10 @@ from scipy.optimize import minimize_scalar
 from maxq import FlightRun, record
 from maxq.control.kernel.records import Array
 from maxq.sim.input.errors import ScenarioError
-from maxq.sim.run.comparison import Comparison, Modelled, compare
+from maxq.sim.run.comparison import Modelled, SeriesComparison, compare
 from maxq.sim.run.flight import Flight
 from maxq.sim.run.fly import fly
-from maxq.sim.run.measured import Measured, MeasuredChannel, read_measured
+from maxq.sim.run.measured import MeasuredChannel, MeasuredSeries, read_measured
 from maxq.sim.run.units import to_unit
 from maxq.sim.scenario.loader import load_scenario
 from maxq.tools import simrun
@@ -37,9 +37,9 @@ def flown() -> Flight:
     return fly(load_scenario("checkcases/two-stage", SCENARIO))
 
 
-def series(flown: Flight, noise: Array, name: str = "altitude_m", sigma: float = math.nan) -> Measured:
+def series(flown: Flight, noise: Array, name: str = "altitude_m", sigma: float = math.nan) -> MeasuredSeries:
     values = Modelled.of(flown, name).at(TIMES + SHIFT_S) + noise
-    return Measured("file", (MeasuredChannel(name, "m", name, TIMES, values, sigma),), ())
+    return MeasuredSeries("file", (MeasuredChannel(name, "m", name, TIMES, values, sigma),), ())
 
 
 def test_the_shift_is_that_of_the_least_squares(flown: Flight) -> None:
@@ -62,7 +62,7 @@ def test_the_shift_is_that_of_the_least_squares(flown: Flight) -> None:
 
 @pytest.mark.parametrize("memory", [0.0, 0.9])
 def test_the_standard_error_is_the_spread_of_the_shift(flown: Flight, memory: float) -> None:
-    """Of correlated noise, the formula for independent noise is too small by sqrt((1 + 0.9) / (1 - 0.9)) = 4.4."""
+    """The formula for independent noise is too small by sqrt((1 + 0.9) / (1 - 0.9)) = 4.4 for the correlated noise."""
     rng, shifts, sigmas = np.random.default_rng(5), [], []
     slope = Modelled.of(flown, "altitude_m").slope(TIMES + SHIFT_S)
     for _ in range(30):
@@ -84,7 +84,7 @@ def test_a_given_shift_and_several_channels_and_angles(flown: Flight) -> None:
     turned = np.mod(yaw.at(TIMES) + 0.5 + 180.0, 360.0) - 180.0
     channel = MeasuredChannel("yaw_deg", "deg", "yaw", TIMES, turned)
     late = MeasuredChannel("altitude_m", "m", "h", TIMES + 12.0, np.zeros(len(TIMES)))
-    found = compare(flown, Measured("file", (channel, late), ()), 0.0)
+    found = compare(flown, MeasuredSeries("file", (channel, late), ()), 0.0)
     assert found.channels[0].residual == pytest.approx(np.full(len(TIMES), 0.5), abs=1e-9)
     assert found.channels[1].outside == int((TIMES + 12.0 > 20.0 + 1e-9).sum())
     assert math.isnan(found.shift_sigma_s)
@@ -215,7 +215,7 @@ def test_the_command_writes_its_record_and_judges_limits(
     said = capsys.readouterr().out
     assert "FAILED: RMS of altitude_m " in said
     assert "1 of 2 limits met" in said
-    found: Comparison = compare(flown, Measured("", (channel,), ()))
+    found: SeriesComparison = compare(flown, MeasuredSeries("", (channel,), ()))
     told = json.loads((tmp_path / "out" / "comparison.json").read_text())
     assert told["shift_s"] == pytest.approx(found.shift_s, abs=1e-5)
     assert told["channels"][0]["rms"] == pytest.approx(found.channels[0].rms, abs=1e-4)

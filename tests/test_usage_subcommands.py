@@ -81,7 +81,8 @@ def test_former_options_are_subcommands(former: str, present: str) -> None:
         ("simrun campaigns/first --view", "simrun: --view is an option of simrun fly or refly, not of simrun campaign"),
         (
             "simrun schema case --out x",
-            "simrun: --out is an option of simrun fly, refly, campaign, merge or winds, not of simrun schema",
+            "simrun: --out is an option of simrun fly, refly, campaign, merge, compare, calibrate or winds, "
+            "not of simrun schema",
         ),
         ("simrun refly x.mcap --run 1 --set a=1", "simrun: --run and --set exclude each other"),
         ("simrun nominal --realtime 3", "simrun: --realtime needs --view or --view-port"),

@@ -11,13 +11,21 @@ from typing import Any
 import numpy as np
 
 from maxq.control.kernel.machine import cores
-from maxq.sim.campaign.calibration import OBSERVED, Calibration, Interrupted, Options, Parameter, calibrate, with_noise
+from maxq.sim.campaign.calibration import (
+    OBSERVED,
+    Calibration,
+    CalibrationOptions,
+    CalibrationStopped,
+    Parameter,
+    calibrate,
+    with_noise,
+)
 from maxq.sim.campaign.error import CampaignError
 from maxq.sim.campaign.read import LoadedCampaign, load_campaign
 from maxq.sim.files import check_writable, plain_name, write_whole
 from maxq.sim.packing.flight import pack_flight
 from maxq.sim.run.fly import logged_channels, refuse_unstable_steps
-from maxq.sim.run.measured import Measured, read_measured
+from maxq.sim.run.measured import MeasuredSeries, read_measured
 from maxq.sim.run.quantities import number_text, quantity
 from maxq.tools.cli.frame import Exit, Interruption
 from maxq.tools.cli.terminal import Progress, aligned, announce, printable, tell
@@ -65,18 +73,18 @@ def execute(
             progress.show("calibrating", 0.0, 0.0, note, count=f"iteration {iteration}")
 
         progress.show("calibrating", 0.0, 0.0, count="first flights")
-        options = Options(fit, shift, shift_sigma)
+        options = CalibrationOptions(fit, shift, shift_sigma)
         try:
             found = calibrate(
                 loaded, series, folder / _FLIGHTS, options, workers=workers or cores(), watch=watch, stop=stop
             )
-        except Interrupted:
+        except CalibrationStopped:
             tell(f"INTERRUPTED: the flights so far are in {folder / _FLIGHTS}; the same command continues")
             return Exit.INTERRUPTED
     return _tell(loaded, series, found, folder, measured)
 
 
-def _tell(loaded: LoadedCampaign, series: Measured, found: Calibration, folder: Path, measured: str) -> int:
+def _tell(loaded: LoadedCampaign, series: MeasuredSeries, found: Calibration, folder: Path, measured: str) -> int:
     """Write the files, print the result, and return the exit code."""
     outcome = _outcome(found)
     rows, others, fits = parameter_rows(found), nuisance_rows(found), _fit_rows(found)
@@ -182,7 +190,7 @@ def notes_of(found: Calibration) -> list[str]:
     return notes
 
 
-def _record(series: Measured, found: Calibration, outcome: str) -> dict[str, Any]:
+def _record(series: MeasuredSeries, found: Calibration, outcome: str) -> dict[str, Any]:
     def parameter(p: Parameter) -> dict[str, Any]:
         return {**vars(p), "observed": p.observed}
 

@@ -9,9 +9,17 @@ from pathlib import Path
 
 from maxq.sim.files import check_writable, write_whole
 from maxq.sim.log.head import LogError
-from maxq.sim.run.comparison import MOST_SHIFT_S, STATISTICS, Comparison, ComparisonError, Limit, Residuals, compare
+from maxq.sim.run.comparison import (
+    MOST_SHIFT_S,
+    STATISTICS,
+    ComparisonError,
+    ResidualLimit,
+    Residuals,
+    SeriesComparison,
+    compare,
+)
 from maxq.sim.run.impact_channels import WithImpacts
-from maxq.sim.run.measured import Measured, read_measured
+from maxq.sim.run.measured import MeasuredSeries, read_measured
 from maxq.sim.run.quantities import against_limit, quantity
 from maxq.tools.cli.frame import CommandError, Exit
 from maxq.tools.cli.terminal import aligned, announce, printable, tell
@@ -78,17 +86,19 @@ def execute(
     return code
 
 
-def limit_of(name: str, bound: float, channels: Sequence[str]) -> Limit:
+def limit_of(name: str, bound: float, channels: Sequence[str]) -> ResidualLimit:
     """Return the limit of `--limit CHANNEL=VALUE` or `--limit CHANNEL.STATISTIC=VALUE`. Raises CommandError."""
     channel, _, statistic = name.partition(".")
     if channel not in channels:
         raise CommandError(f"--limit {name}: this channel is not measured; allowed: {', '.join(channels)}")
     if (statistic or "largest") not in STATISTICS:
         raise CommandError(f"--limit {name}: allowed after the channel: {', '.join(STATISTICS)}")
-    return Limit(channel, statistic or "largest", bound)
+    return ResidualLimit(channel, statistic or "largest", bound)
 
 
-def verdict(found: Comparison, limits: Sequence[Limit], missed: Sequence[Limit]) -> tuple[str, Exit]:
+def verdict(
+    found: SeriesComparison, limits: Sequence[ResidualLimit], missed: Sequence[ResidualLimit]
+) -> tuple[str, Exit]:
     """Return the last line of the command and its exit code."""
     if not limits:
         worst = max(found.channels, key=lambda each: -1.0 if math.isnan(each.share) else each.share)
@@ -100,7 +110,7 @@ def verdict(found: Comparison, limits: Sequence[Limit], missed: Sequence[Limit])
     return f"FAILED: {_limit_text(found, missed[0])}; {count}", Exit.FAILED
 
 
-def _limit_text(found: Comparison, limit: Limit) -> str:
+def _limit_text(found: SeriesComparison, limit: ResidualLimit) -> str:
     each = next(each for each in found.channels if each.name == limit.channel)
     value = each.value_of(limit.statistic)
     text, bound, unit = against_limit(value, "limit", limit.bound, each.measured.unit)
@@ -138,7 +148,7 @@ def residual_table(channels: Sequence[Residuals]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def notes_of(series: Measured, found: Comparison) -> list[str]:
+def notes_of(series: MeasuredSeries, found: SeriesComparison) -> list[str]:
     """Return notes on what was not compared."""
     notes = [f"{each.name}: {each.measured.gaps} empty cells" for each in found.channels if each.measured.gaps]
     notes += [f"{each.name}: {each.outside} values outside the flight" for each in found.channels if each.outside]
@@ -151,14 +161,14 @@ def notes_of(series: Measured, found: Comparison) -> list[str]:
     return notes
 
 
-def _shift_text(found: Comparison) -> str:
+def _shift_text(found: SeriesComparison) -> str:
     if math.isnan(found.shift_sigma_s):
         return f"time shift {found.shift_s:g} s, given"
     return f"time shift {found.shift_s:.4f} +- {found.shift_sigma_s:.2g} s (1 sigma), estimated"
 
 
 def _record(
-    place: str, series: Measured, found: Comparison, limits: Sequence[Limit], outcome: str
+    place: str, series: MeasuredSeries, found: SeriesComparison, limits: Sequence[ResidualLimit], outcome: str
 ) -> dict[str, object]:
     missed = found.violated(limits)
     return {

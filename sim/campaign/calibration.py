@@ -1,8 +1,8 @@
 """The calibration of a campaign's dispersed numbers to measured series: the maximum of the posterior density.
 
-The unknowns are the standard normal scores z of the draws, so that the prior of each is N(0, 1) and the distributions,
-covariances and correlated pairs of the campaign apply as they are. The measured values y have independent normal errors
-sigma. The estimate minimises
+The unknowns are the standard normal scores z of the draws. The prior of each is therefore N(0, 1), and the
+distributions, covariances and correlated pairs of the campaign apply as they are. The measured values y have
+independent normal errors sigma. The estimate minimises
 
     |(y - f(z) - b) / sigma|^2 + |z|^2 + |b / sigma_b|^2 + (s / sigma_s)^2
 
@@ -36,7 +36,7 @@ from maxq.sim.campaign.store import simulator
 from maxq.sim.campaign.targets import Refused
 from maxq.sim.files import whole_file
 from maxq.sim.run.comparison import Modelled, Residuals, difference, no_overlap, unwrapped
-from maxq.sim.run.measured import Measured, MeasuredChannel
+from maxq.sim.run.measured import MeasuredChannel, MeasuredSeries
 from maxq.sim.scenario.loader import LoadedScenario
 
 STEP, LEAST_STEP = 0.05, 0.005
@@ -99,12 +99,12 @@ class Calibration:
     flights: int
 
 
-class Interrupted(Exception):
+class CalibrationStopped(Exception):
     """The end of a calibration on request; the same call continues it."""
 
 
 @dataclass(frozen=True)
-class Options:
+class CalibrationOptions:
     """The settings of a calibration: parameters by name or label (empty: all), prior of the time shift."""
 
     only: tuple[str, ...] = ()
@@ -112,7 +112,7 @@ class Options:
     shift_sigma_s: float = 0.0
 
 
-def with_noise(measured: Measured) -> Measured:
+def with_noise(measured: MeasuredSeries) -> MeasuredSeries:
     """Return the series with a noise for each channel, by default from the second differences of its values.
 
     The estimate assumes errors that are independent from value to value. Raises CampaignError if it is 0.
@@ -152,7 +152,7 @@ class _Flights:
         self,
         campaign: LoadedCampaign,
         draws: Sequence[Draw],
-        measured: Measured,
+        measured: MeasuredSeries,
         folder: Path,
         workers: int,
         stop: Callable[[], bool],
@@ -189,11 +189,11 @@ class _Flights:
     def fly(self, points: Sequence[Array]) -> list[tuple[Array, Array] | None]:
         """Return times (n,) and channels (c, n) of a flight for each point; None without a usable flight.
 
-        Raises Interrupted.
+        Raises CalibrationStopped.
         """
         found = list(self._pool.map(self._fly, points))
         if self._stop():
-            raise Interrupted
+            raise CalibrationStopped
         return found
 
     def _fly(self, scores: Array) -> tuple[Array, Array] | None:
@@ -232,7 +232,7 @@ class _Point:
 class _Problem:
     """The weighted residuals of a calibration, with their derivatives."""
 
-    def __init__(self, flights: _Flights, measured: Measured, options: Options) -> None:
+    def __init__(self, flights: _Flights, measured: MeasuredSeries, options: CalibrationOptions) -> None:
         self.flights, self.measured, self.options = flights, measured, options
         self.scores = len(flights.names)
         self.priors: list[tuple[str, str, float]] = []
@@ -295,7 +295,7 @@ class _Problem:
 
         `widths` (size,) are the half-widths of the differences of the scores.
 
-        Raises CampaignError if neither exists, and Interrupted.
+        Raises CampaignError if neither exists, and CalibrationStopped.
         """
         moves = [sign * widths[k] * np.eye(self.size)[k] for k in range(self.scores) for sign in (1.0, -1.0)]
         flown = self.flights.fly([(at.x + move)[: self.scores] for move in moves])
@@ -327,9 +327,9 @@ class _Problem:
 
 def calibrate(
     campaign: LoadedCampaign,
-    measured: Measured,
+    measured: MeasuredSeries,
     folder: Path,
-    options: Options | None = None,
+    options: CalibrationOptions | None = None,
     *,
     workers: int = 1,
     watch: Callable[[int, float, int], None] = lambda iteration, cost, flights: None,
@@ -339,9 +339,9 @@ def calibrate(
 
     Draws that are not calibrated, wind and noise are those of the scenario. Flights are stored in `folder`. `watch` is
     called with the number of the iteration, the sum of squares over the number of measured values, and the number of
-    flights. Raises CampaignError if the scenario itself has no usable flight, and Interrupted.
+    flights. Raises CampaignError if the scenario itself has no usable flight, and CalibrationStopped.
     """
-    options = options or Options()
+    options = options or CalibrationOptions()
     draws = parameters_of(campaign, options.only)
     flights = _Flights(campaign, draws, measured, folder, workers, stop)
     try:
@@ -377,7 +377,7 @@ def _calibrated(problem: _Problem, draws: Sequence[Draw], watch: Callable[[int, 
             if converged:
                 break
             damping = max(10.0 * damping, 1.0)
-    covariance = np.linalg.inv(jacobian.T @ jacobian + np.eye(problem.size))
+    covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + np.eye(problem.size)), np.float64)
     return _result(problem, draws, start, at, covariance, converged, iteration)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from maxq.control.kernel.records import Array
 from maxq.sim.log.tabular import Tabular
-from maxq.sim.run.measured import Measured, MeasuredChannel
+from maxq.sim.run.measured import MeasuredChannel, MeasuredSeries
 from maxq.sim.run.quantities import meets
 
 MOST_SHIFT_S = 10.0
@@ -59,7 +59,7 @@ class Modelled:
         h = float(np.median(np.diff(self.time_s)))
         first, last = self.span_s
         ahead, behind = np.minimum(time_s + h, last), np.maximum(time_s - h, first)
-        return (self.at(ahead) - self.at(behind)) / np.maximum(ahead - behind, 1e-12)
+        return np.asarray((self.at(ahead) - self.at(behind)) / np.maximum(ahead - behind, 1e-12))
 
 
 def unwrapped(values: Array, unit: str) -> Array:
@@ -74,7 +74,7 @@ def difference(measured: Array, modelled: Array, unit: str) -> Array:
 
 
 @dataclass(frozen=True)
-class Limit:
+class ResidualLimit:
     """A limit of a comparison: of a channel's RMS, largest residual, or bias, all as absolute values."""
 
     channel: str
@@ -148,7 +148,7 @@ class Residuals:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class SeriesComparison:
     """The residuals of all channels for a time shift, s: flight time = measured time + shift.
 
     `shift_sigma_s` is its standard error, nan for a given shift. `at_end` is True if the best shift is the largest
@@ -160,15 +160,15 @@ class Comparison:
     at_end: bool
     channels: tuple[Residuals, ...]
 
-    def violated(self, limits: Sequence[Limit]) -> list[Limit]:
+    def violated(self, limits: Sequence[ResidualLimit]) -> list[ResidualLimit]:
         """Return the limits that are exceeded."""
         known = {each.name: each for each in self.channels}
         return [m for m in limits if not meets(known[m.channel].value_of(m.statistic), "limit", m.bound)]
 
 
 def compare(
-    source: Tabular, measured: Measured, shift_s: float | None = None, most_shift_s: float = MOST_SHIFT_S
-) -> Comparison:
+    source: Tabular, measured: MeasuredSeries, shift_s: float | None = None, most_shift_s: float = MOST_SHIFT_S
+) -> SeriesComparison:
     """Return the comparison for a given shift, s, or for the best shift within `most_shift_s`.
 
     Raises ComparisonError if no channel overlaps in time, or if no channel changes, so that no shift is the best.
@@ -188,7 +188,7 @@ def compare(
             found.append(Residuals(each, time_s[inside], modelled, residual, int(len(inside) - inside.sum())))
     if not found:
         raise ComparisonError(no_overlap(pairs, shift_s))
-    return Comparison(shift_s, sigma_s, at_end, tuple(found))
+    return SeriesComparison(shift_s, sigma_s, at_end, tuple(found))
 
 
 def no_overlap(pairs: Sequence[tuple[MeasuredChannel, Modelled]], shift_s: float) -> str:

@@ -50,7 +50,7 @@ _GAPS = ("", "nan", "na", "n/a", "-", "null")
 _FEWEST = 3
 
 
-class Column(Section):
+class MeasuredColumn(Section):
     """The meaning of a column."""
 
     heading: str = Field(description="heading of the column, or its name without the unit")
@@ -65,7 +65,7 @@ class ColumnsFile(Section):
     """The meanings of the columns of a measured series."""
 
     time: str = optional("heading of the column of times (default: the first whose name is time or t)", "")
-    column: tuple[Column, ...] = optional("meanings of columns", ())
+    column: tuple[MeasuredColumn, ...] = optional("meanings of columns", ())
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class MeasuredChannel:
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredSeries:
     """The measured channels of a file, and the headings of the columns that were not used."""
 
     file: str
@@ -101,16 +101,17 @@ def read_measured(
     columns: str | Path | None = None,
     aliases: Mapping[str, str] | None = None,
     sigmas: Mapping[str, float] | None = None,
-) -> Measured:
+) -> MeasuredSeries:
     """Return the measured series in a CSV file, as channels of `table`.
 
     `columns` is a file of columns, `aliases` are channels by heading, and `sigmas` the noise by channel; the latter two
-    precede the file. Columns without a channel are ignored. Raises ScenarioError for a file that cannot be read, times
-    that do not increase, a unit that does not fit its channel, an unknown channel or heading, and if no column is used.
+    precede the file. Columns without a channel are ignored. Raises ScenarioError for a file that cannot be read and for
+    times that do not increase. The same applies to a unit that does not fit its channel, to an unknown channel or
+    heading, and if no column is used.
     """
     file = _columns_file(columns)
     given = {each.heading: each for each in file.column}
-    given |= {heading: Column(heading=heading, channel=name) for heading, name in (aliases or {}).items()}
+    given |= {heading: MeasuredColumn(heading=heading, channel=name) for heading, name in (aliases or {}).items()}
     label = str(path)
     headings, cells, lines = _cells(Path(path), label)
     time_at = _time_column(headings, file.time, label, columns)
@@ -150,7 +151,7 @@ def read_measured(
     if unknown := [name for name in (sigmas or {}) if name not in found]:
         raise ScenarioError(label, "is not measured", unknown[0], allowed=", ".join(found))
     unused = [heading for n, heading in enumerate(headings) if n != time_at and wanted.get(n) is None]
-    return Measured(label, tuple(found.values()), tuple(unused))
+    return MeasuredSeries(label, tuple(found.values()), tuple(unused))
 
 
 def _columns_file(path: str | Path | None) -> ColumnsFile:
@@ -270,10 +271,14 @@ def _times(heading: str, cells: Sequence[str], lines: Sequence[int], label: str)
 
 
 def _wanted(
-    headings: Sequence[str], given: Mapping[str, Column], table: ChannelTable, label: str, columns: str | Path | None
-) -> dict[int, Column | None]:
+    headings: Sequence[str],
+    given: Mapping[str, MeasuredColumn],
+    table: ChannelTable,
+    label: str,
+    columns: str | Path | None,
+) -> dict[int, MeasuredColumn | None]:
     """Return the meaning of each column, by index; None for a column without a channel."""
-    out: dict[int, Column | None] = {}
+    out: dict[int, MeasuredColumn | None] = {}
     for heading, column in given.items():
         at = [
             n
@@ -294,11 +299,11 @@ def _wanted(
         if n not in out:
             name = _parts(heading)[0]
             channel = heading if heading in table else stems.get(name, _OTHER_NAMES.get(name, ""))
-            out[n] = Column(heading=heading, channel=channel) if channel in table else None
+            out[n] = MeasuredColumn(heading=heading, channel=channel) if channel in table else None
     return out
 
 
-def _conversion(heading: str, column: Column, unit: str, label: str) -> tuple[float, float]:
+def _conversion(heading: str, column: MeasuredColumn, unit: str, label: str) -> tuple[float, float]:
     given = column.unit or ("" if heading == column.channel else _parts(heading)[1])
     found = to_unit(given or unit, unit)
     if found is None:

@@ -74,7 +74,7 @@ def _normal(latitude_deg: float, longitude_deg: float, azimuth: float) -> Array:
 
 def _angles(first: Array, second: Array) -> Array:
     """Return the angles (...,), rad, between vectors (..., 3)."""
-    return np.arctan2(np.linalg.norm(np.cross(first, second), axis=-1), np.sum(first * second, axis=-1))
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(first, second), axis=-1), np.sum(first * second, axis=-1)))
 
 
 def _nearest_on_ring(points: Array, corners: Array) -> Array:
@@ -107,4 +107,4 @@ def _inside(points: Array, corners: Array) -> np.ndarray:
     turned = np.diff(bearing, axis=1, append=bearing[:, :1])
     turned = np.mod(turned + math.pi, 2.0 * math.pi) - math.pi
     centre = corners.sum(axis=0)
-    return (np.abs(turned.sum(axis=1)) > math.pi) & (points @ centre > 0.0)
+    return np.asarray((np.abs(turned.sum(axis=1)) > math.pi) & (points @ centre > 0.0))
