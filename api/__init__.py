@@ -347,8 +347,8 @@ def from_rocketpy(
 ) -> Path:
     """Build an unguided vehicle from a RocketPy rocket with a solid motor.
 
-    The folder contains `layout.toml`, whose comments state what was taken, assumed and is missing, and `scenario.toml`
-    to fly to the apogee. maxq computes the normal force of nose, tails and fins; the drag is that of the rocket.
+    The folder contains `scenario.toml`, a flight to the apogee, and `layout.toml`. Its comments state which data were
+    taken, assumed and missing. The drag is that of the rocket; the normal force of nose, tails and fins is computed.
 
     :param rocket: `rocketpy.Rocket` with a `SolidMotor`, a nose, and tails, trapezoidal or elliptical fins.
     :param flight: `rocketpy.Flight`, whose rail and environment are used (default: a vertical rail of 5 m).

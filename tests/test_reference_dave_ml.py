@@ -185,6 +185,17 @@ def test_a_calculation_between_breakpoints_is_close_to_the_model() -> None:
     assert np.abs(table(at) - true).max() < 0.0065
 
 
+def test_a_table_over_the_size_of_an_angle_covers_both_signs() -> None:
+    """CD over |beta| = 0, 4, 8 deg is 0.1, 0.3 and 0.2 on both sides."""
+    text = HEAD + _variable("beta", "angleOfSideslip", "rad", "<isInput/>")
+    size = _calculation(_apply("times", _apply("abs", "<ci>beta</ci>"), _apply("divide", "<cn>180</cn>", "<pi/>")))
+    text += _variable("size", "size", "deg", size) + _variable("CD", "totalCoefficientOfDrag")
+    text += '<breakpointDef bpID="B"><bpVals>0 4 8</bpVals></breakpointDef>'
+    columns = coefficient_columns(read_model(text + _function("CD", "size", "B", [0.1, 0.3, 0.2]) + "</DAVEfunc>"))
+    found = np.interp([-8.0, -6.0, -4.0, 0.0, 4.0, 8.0], columns["beta_deg"], columns["CD"])
+    assert found == pytest.approx([0.2, 0.25, 0.3, 0.1, 0.3, 0.2], rel=1e-9)
+
+
 def test_damping_by_body_rates_is_that_of_the_brick() -> None:
     columns = coefficient_columns(read_model(brick()))
     assert columns["CD"] == pytest.approx([0.01])

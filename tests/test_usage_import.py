@@ -16,8 +16,11 @@ from maxq.sim.input import xml_tree
 from maxq.tools import simvehicle
 from maxq.tools.vehicle import openrocket
 from maxq.tools.vehicle.airframe import equivalent_trapezoid, revolved
+from maxq.tools.vehicle.airframe_layout import write_layout
+from maxq.tools.vehicle.build import build, warnings
 from maxq.tools.vehicle.layout import read_layout
 from maxq.tools.vehicle.openrocket import SHAPES, read_openrocket
+from maxq.tools.vehicle.report import tables
 
 
 def test_the_command_says_what_was_taken_assumed_and_missing(
@@ -180,3 +183,60 @@ def test_an_elliptical_fin_becomes_a_trapezoid_with_its_mean_chord() -> None:
     assert mean == pytest.approx(8.0 * 0.1 / (3.0 * math.pi), rel=1e-5)
     assert sweep == pytest.approx(0.5 * (root - tip), abs=1e-9)
     assert shift + sweep / 3.0 * (root + 2.0 * tip) / (root + tip) + 0.5 * mean == pytest.approx(0.05, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("[rail]\nlength_m = 2.5\nelevation_deg = 85.0\n", "", "rail: an unguided vehicle needs a rail"),
+        ('gimbal = "fixed"\n', 'gimbal = "both"\n', "stage.0.engine.mass_kg = 0.0: a gimballed engine has mass"),
+        ('gimbal = "fixed"\n', "mass_kg = 1.0\n", 'engine.gimbal = "fixed": other stages have gimbals'),
+        ('gimbal = "fixed"\n', 'gimbal = "fixed"\nangle_limit_deg = 5.0\n', "has no meaning here"),
+        ("[control]\n", "[trajectory]\norbit_altitude_m = 2e5\n\n[control]\n", "an unguided vehicle does not steer"),
+    ],
+)
+def test_layouts_are_unguided_in_every_stage_or_in_none(tmp_path: Path, old: str, new: str, said: str) -> None:
+    design = orkkit.write_design(tmp_path, orkkit.xml())
+    path = write_layout(read_openrocket(design), tmp_path)
+    text = path.read_text()
+    assert old in text
+    text = text.replace(old, new, 1)
+    if new == "mass_kg = 1.0\n":
+        text = text.replace("mass_kg = 0.0\n", "", 1)
+    path.write_text(text)
+    with pytest.raises(ScenarioError) as error:
+        read_layout(path)
+    assert said in str(error.value)
+
+
+def test_a_rocket_with_small_fins_is_unusual(tmp_path: Path) -> None:
+    """The upper stage with fins of 1 mm has its centre of pressure near that of its nose, ahead of the CG."""
+    design = orkkit.write_design(tmp_path, orkkit.xml().replace("<height>0.06</height>", "<height>0.001</height>"))
+    built = build(read_layout(write_layout(read_openrocket(design), tmp_path)))
+    lines = [line for line in warnings(built) if line.startswith("upper_stage: static margin -")]
+    assert len(lines) == 1
+    assert lines[0].endswith("usual are 1 and more")
+    rows = next(table.rows for table in tables(built) if table.heading == "Static stability")
+    margin = float(rows[-1][rows[0].index("static margin")])
+    centre, cg = (float(rows[-1][rows[0].index(name)]) for name in ("CP, m", "CG, m"))
+    assert margin == pytest.approx((centre - cg) / 0.1, abs=0.02)
+    assert centre == pytest.approx(0.2, abs=0.03)  # two thirds of the nose
+
+
+def test_the_drag_is_that_of_the_stored_simulation(tmp_path: Path) -> None:
+    """The coefficients are 0.5 + 0.1 M under thrust and 0.6 + 0.1 M in the coast; those of the fall do not count."""
+    machs = np.linspace(0.05, 0.85, 17)
+    rise = [(0.1 * k, 10.0 * k, m, 250.0, 0.5 + 0.1 * m) for k, m in enumerate(machs)]
+    coast = [(2.0 + 0.1 * k, 200.0 + 10.0 * k, m, 0.0, 0.6 + 0.1 * m) for k, m in enumerate(machs[::-1])]
+    fall = [(5.0, 100.0, 0.3, 0.0, 9.0), (5.1, 90.0, 0.31, 0.0, math.nan)]
+    points = "".join(f"<datapoint>{','.join(map(str, row))}</datapoint>" for row in (*rise, *coast, *fall))
+    types = "Time,Altitude,Mach number,Thrust,Axial drag coefficient"
+    text = orkkit.xml()
+    text = text[: text.index("<stage><name>Lower")] + text[text.index("</subcomponents></rocket>") :]
+    data = f'<flightdata><databranch types="{types}">{points}</databranch></flightdata></simulation>'
+    airframe = read_openrocket(orkkit.write_design(tmp_path, text.replace("</simulation>", data)))
+    assert airframe.axial is not None
+    mach, powered, coasting = airframe.axial
+    assert np.interp(0.45, mach, powered) == pytest.approx(0.545, abs=1e-9)
+    assert np.interp(0.45, mach, coasting) == pytest.approx(0.645, abs=1e-9)
+    assert ("taken", "drag", "axial force coefficient of the stored simulation first") in airframe.remarks

@@ -58,6 +58,7 @@ _NORMAL_BY_RATE = {"CZ": ("CNq", -1.0), "CL": ("CNq", 1.0)}
 _TO_DEG = {"deg": 1.0, "d": 1.0, "rad": math.degrees(1.0), "r": math.degrees(1.0)}
 _SPEED_VALUE = 100.0  # true airspeed of the table in its unit; the derivatives do not depend on it
 _FINER = 4  # parts of an interval between breakpoints of an angle, if calculations depend on it
+_ANGLES_deg = (-20.0, -10.0, 0.0, 10.0, 20.0)  # breakpoints of an angle without any
 _LINEAR = 1e-6  # largest share by which a coefficient may depart from a line over a rate
 
 
@@ -425,13 +426,8 @@ def _axes(model: DaveModel, needed: set[str]) -> list[tuple[str, _Variable, Arra
         axis = _AXES.get(variable.name.lower())
         if axis is None or variable.key not in needed:
             continue
-        indirect = [b for key in needed for b in model.breaks.get(key, ()) if variable.key in model.depends_on(key)]
-        own = model.breaks.get(variable.key) or indirect
-        if not own:
-            own = [
-                np.array([0.0, 1.0] if axis == "mach" else [-20.0, -10.0, 0.0, 10.0, 20.0]) / _degrees(variable, axis)
-            ]
-        values = np.unique(np.concatenate(own)) * _degrees(variable, axis)
+        own = [b * _degrees(variable, axis) for b in model.breaks.get(variable.key, ())]
+        values = np.unique(np.concatenate(own or _indirect(model, needed, variable.key, axis)))
         if axis != "mach" and any(
             model.variables[k].calculated and variable.key in model.depends_on(k) for k in needed
         ):
@@ -443,6 +439,21 @@ def _axes(model: DaveModel, needed: set[str]) -> list[tuple[str, _Variable, Arra
     if not out:
         out.append(("mach", _Variable("", "mach", "nd", None), np.array([0.0])))
     return sorted(out, key=lambda each: ("mach", "alpha_deg", "beta_deg").index(each[0]))
+
+
+def _indirect(model: DaveModel, needed: set[str], key: str, axis: str) -> list[Array]:
+    """Return the breakpoints of the variables calculated from an input, in deg and for both signs of an angle."""
+    if axis == "mach":
+        return [b for k in needed for b in model.breaks.get(k, ()) if key in model.depends_on(k)] or [
+            np.array([0.0, 1.0])
+        ]
+    found = [
+        b * _TO_DEG[model.variables[k].units]
+        for k in needed
+        for b in model.breaks.get(k, ())
+        if key in model.depends_on(k) and model.variables[k].units in _TO_DEG
+    ]
+    return [*found, *(-b for b in found)] or [np.array(_ANGLES_deg)]
 
 
 def _rate_inputs(model: DaveModel, needed: set[str]) -> dict[int, tuple[_Variable, float]]:

@@ -83,7 +83,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Fins:
+class FinSet:
     """A set of equal fins with a trapezoidal planform on a body."""
 
     name: str
@@ -124,7 +124,7 @@ class AirframeStage:
     name: str
     pieces: tuple[Piece, ...]
     bodies: tuple[Body, ...]
-    fins: tuple[Fins, ...]
+    fins: tuple[FinSet, ...]
     motor: Motor
     separation_after_s: float = 0.0
     ignition_after_s: float = 0.0
@@ -182,11 +182,11 @@ def tube(length_m: float, outer_m: float, inner_m: float, front_m: float = 0.0) 
     return Solid(volume, front_m + 0.5 * length_m, length_m**2 / 12.0, 0.5 * (outer_m**2 + inner_m**2))
 
 
-Numbers = NDArray[Any]  # real or complex
-Profile = Callable[[Numbers], Numbers]  # outer radius over the distance from the front
+RealOrComplex = NDArray[Any]  # real or complex
+RadiusProfile = Callable[[RealOrComplex], RealOrComplex]  # outer radius over the distance from the front
 
 
-def revolved(profile: Profile, length_m: float, wall_m: float | None) -> tuple[Solid, Solid, float, float]:
+def revolved(profile: RadiusProfile, length_m: float, wall_m: float | None) -> tuple[Solid, Solid, float, float]:
     """Return the wall and the outer volume of a body of revolution, and the area and centroid of its silhouette.
 
     `wall_m` is the thickness normal to the surface, or None for a solid body. Integrals are of Gauss and Legendre in

@@ -25,7 +25,7 @@ from maxq.sim.input.values import Section
 from maxq.sim.vehicle.air.section import AERO_COLUMNS
 from maxq.tools.cli.terminal import aligned
 from maxq.tools.vehicle.aerodynamics import CROSSFLOW, MACH, Surface, body_lift, fin_lift
-from maxq.tools.vehicle.airframe import Airframe, Body, Fins, Piece, Remark
+from maxq.tools.vehicle.airframe import Airframe, Body, FinSet, Piece, Remark
 from maxq.tools.vehicle.layout import LayoutFins, read_layout
 
 _CORNER = 0.02  # share of the interval between two rows of a thrust curve in which its corner is rounded
@@ -75,14 +75,19 @@ def with_drag(airframe: Airframe, path: Path) -> Airframe:
 
 def table_text(airframe: Airframe) -> str:
     """Return what was taken, assumed and missing as a table."""
-    rows = [(r.kind, r.subject, r.text) for r in sorted(airframe.remarks, key=lambda r: _KINDS[r.kind])]
+    rows = [(r.kind, r.subject, r.text) for r in _in_order(airframe)]
     return "\n".join(aligned([("data", "of", "value"), *rows], "  "))
+
+
+def _in_order(airframe: Airframe) -> list[Remark]:
+    """Return the remarks by kind, each once."""
+    return sorted(dict.fromkeys(airframe.remarks), key=lambda r: _KINDS[r.kind])
 
 
 def layout_text(airframe: Airframe) -> str:
     """Return the layout as TOML, with the remarks as comments."""
     head = [f"{airframe.name}: imported from {airframe.source} by simvehicle."]
-    head += [f"{r.kind}: {r.subject}: {r.text}" for r in sorted(airframe.remarks, key=lambda r: _KINDS[r.kind])]
+    head += [f"{r.kind}: {r.subject}: {r.text}" for r in _in_order(airframe)]
     lines = [line for text in head for line in textwrap.wrap(_plain(text), _WIDTH, subsequent_indent="  ")]
     return "".join(f"# {line}\n" for line in lines) + tomli_w.dumps(layout_document(airframe))
 
@@ -232,7 +237,7 @@ def _aero(airframe: Airframe, n: int, diameter_m: float) -> dict[str, Any]:
 
 
 def _surfaces(
-    bodies: Sequence[Body], fins: Sequence[Fins], diameter_m: float
+    bodies: Sequence[Body], fins: Sequence[FinSet], diameter_m: float
 ) -> tuple[list[dict[str, Any]], Array, list[tuple[float, float]]]:
     """Return the lifting parts, Clp over `MACH`, and the area and station of the fins in the planform.
 

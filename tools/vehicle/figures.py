@@ -17,6 +17,7 @@ from maxq.tools.vehicle.layout import LayoutBooster, LayoutStage, LayoutThrust
 from maxq.tools.vehicle.report import MEANINGS, notes, numbers, tables
 from maxq.tools.vehicle.trajectory import TrajectoryPoint
 
+_LIGHT_kg = 1000.0  # below this mass at liftoff, masses are in kg
 _AIR_Pa = 100.0  # below this dynamic pressure, the centre of pressure is irrelevant
 _TIME, _STATION = "flight time, s", "station, m aft of the nose"
 
@@ -65,7 +66,7 @@ def page(built: Built, outcome: str, *, passed: bool) -> str:
 
 
 def _mass_text(mass_kg: float) -> str:
-    return f"{mass_kg / 1e3:.4g} t" if mass_kg >= 1e3 else f"{mass_kg:.4g} kg"
+    return f"{mass_kg:.4g} kg" if mass_kg < _LIGHT_kg else f"{mass_kg / 1e3:.4g} t"
 
 
 def _vehicle(built: Built) -> Plot:
@@ -152,17 +153,19 @@ def _of_stacks(built: Built, value: Callable[[int, float], float]) -> list[Serie
 
 def _masses(built: Built) -> Plot:
     stacks = built.stacks
-    mass = _of_stacks(built, lambda n, t: stacks[n].mass_properties(t).mass_kg / 1e3)
+    light = stacks[0].mass_properties(stacks[0].begins_s).mass_kg < _LIGHT_kg
+    scale, unit = (1.0, "kg") if light else (1e3, "t")
+    mass = _of_stacks(built, lambda n, t: stacks[n].mass_properties(t).mass_kg / scale)
     cg = _of_stacks(built, lambda n, t: stacks[n].mass_properties(t).x_cg_m)
-    inertia = _of_stacks(built, lambda n, t: stacks[n].mass_properties(t).pitch_kgm2 / 1e3)
+    inertia = _of_stacks(built, lambda n, t: stacks[n].mass_properties(t).pitch_kgm2 / scale)
     for n, stack in enumerate(stacks):
         times_s = np.array([stack.begins_s, stack.end_s])
-        roll = [stack.mass_properties(t).roll_kgm2 / 1e3 for t in times_s]
+        roll = [stack.mass_properties(t).roll_kgm2 / scale for t in times_s]
         inertia.append(line(built.flight.begins_s[n] + times_s, roll, "roll" * (n == 0), colour="grey", dash="2 2"))
     panels = [
-        Panel("mass", mass, _TIME, "t", y_range=(0.0, None)),
+        Panel("mass", mass, _TIME, unit, y_range=(0.0, None)),
         Panel("centre of gravity", cg, _TIME, "m aft of the nose"),
-        Panel("moments of inertia", inertia, _TIME, "t m2", log_y=True),
+        Panel("moments of inertia", inertia, _TIME, f"{unit} m2", log_y=True),
     ]
     return Plot("masses", "Masses", panels, "The whole vehicle; grey: moment of inertia about the axis.", 3)
 
@@ -183,9 +186,11 @@ def _modes(built: Built) -> Plot:
         for k, mode in enumerate(on_the_pad(built)[:2] if n == 0 else []):
             name = f"clamped on the pad: {mode.frequency_hz:.2f} Hz"
             shapes.append(line(mode.station_m, mode.phi, name, colour="grey", dash=("8 3 2 3", "2 2")[k]))
-        shapes.append(at(built.layout.control.gyro_station_m, "gyro", colour="green", dash="6 3"))
+        if not built.layout.unguided:
+            shapes.append(at(built.layout.control.gyro_station_m, "gyro", colour="green", dash="6 3"))
         panels.append(Panel(f"{built.stacks[n].name}, at ignition", shapes, _STATION, "mode shape"))
-    frequencies.append(limit(0.5 / built.layout.control.sample_s, "half the sample rate"))
+    if not built.layout.unguided:
+        frequencies.append(limit(0.5 / built.layout.control.sample_s, "half the sample rate"))
     panels.append(Panel("frequencies", frequencies, _TIME, "Hz", log_y=True))
     caption = (
         "Free-free modes with a displacement of 1 at the gimbal, engine locked, without sloshing masses. Grey: clamped "

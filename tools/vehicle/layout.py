@@ -532,9 +532,10 @@ class Layout(Section):
             if not self.unguided and stage.engine.gimbal == "fixed":
                 allowed = "gimbal = 'both', or 'fixed' in every stage"
                 raise refuse("other stages have gimbals", allowed, ("stage", n, "engine", "gimbal"), value="fixed")
-        if self.unguided != (self.rail is not None):
-            problem = "an unguided vehicle needs a rail" if self.rail is None else "engines on gimbals steer from a pad"
-            raise refuse(problem, "with gimbal = 'fixed' in every stage", ("rail",), value=None)
+        if self.unguided and self.rail is None:
+            raise refuse("an unguided vehicle needs a rail", "length_m and elevation_deg", ("rail",))
+        if self.rail is not None and not self.unguided:
+            raise refuse("engines on gimbals steer from a pad", "with gimbal = 'fixed' in every stage", ("rail",))
         if self.unguided and self.trajectory.orbit_altitude_m is not None:
             raise refuse("an unguided vehicle does not steer", "none", ("trajectory", "orbit_altitude_m"))
         if self.unguided and any(stage.booster for stage in self.stage):

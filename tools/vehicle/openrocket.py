@@ -30,12 +30,12 @@ from maxq.tools.vehicle.airframe import (
     Airframe,
     AirframeStage,
     Body,
-    Fins,
+    FinSet,
     Motor,
-    Numbers,
     Piece,
     Planform,
-    Profile,
+    RadiusProfile,
+    RealOrComplex,
     Remark,
     Solid,
     equivalent_trapezoid,
@@ -453,7 +453,7 @@ class _Design:
             return tube(length, part.aft_m, inner), tube(length, part.aft_m, 0.0), area, 0.5 * length
         return revolved(self._profile(part), length, part.wall_m)
 
-    def _profile(self, part: _Part) -> Profile:
+    def _profile(self, part: _Part) -> RadiusProfile:
         e, length = part.element, part.length_m
         small, large = sorted((part.fore_m, part.aft_m))
         name = (e.findtext("shape") or "ogive").strip()
@@ -475,7 +475,7 @@ class _Design:
             base, gain = small, large - small
         flipped = part.fore_m > part.aft_m
 
-        def profile(x: Numbers) -> Numbers:
+        def profile(x: RealOrComplex) -> RealOrComplex:
             at = (length - x if flipped else x) + before
             return base + (shape(at, gain, length + before, parameter) if gain > 0.0 else 0.0 * at)
 
@@ -693,7 +693,7 @@ class _Design:
             ),
         ]
         if any(s.motor.count > 1 for s in stages):
-            last.append(Remark("assumed", "clusters", "the motors of a cluster act and lie on the axis"))
+            last.append(Remark("assumed", "clusters", "all motors of a cluster are on the axis"))
         if axial is None:
             last.append(Remark("missing", "drag", "no curve: an assumed one of a clean launcher; give one by --drag"))
         last.append(Remark("missing", "recovery", "the flight ends at the apogee"))
@@ -850,7 +850,7 @@ class _Design:
         separation_s = min(event_s(stage, "separation", "upperignition", separation), ignition_s)
         return separation_s, ignition_s - separation_s
 
-    def _fins(self, part: _Part) -> Fins:
+    def _fins(self, part: _Part) -> FinSet:
         e, radius, count = part.element, self._fin_body(part), self._fin_count(part.element)
         if count < 3:
             self.remarks.append(Remark("assumed", part.name, f"{count} fins: mean of all planes"))
@@ -859,7 +859,7 @@ class _Design:
         if part.tag == "trapezoidfinset":
             tip, height = self.number(e, "tipchord"), self.length(e, "height")
             sweep = self.number(e, "sweeplength", least=-math.inf)
-            return Fins(part.name, count, part.length_m, tip, height, sweep, part.front_m, radius)
+            return FinSet(part.name, count, part.length_m, tip, height, sweep, part.front_m, radius)
         if part.tag == "ellipticalfinset":
             height = self.length(e, "height")
             y = height * np.sin(np.linspace(0.0, 0.5 * math.pi, 2001))
@@ -869,7 +869,7 @@ class _Design:
             y, leading, chord = self._strips(e)
         root, tip, sweep, shift = equivalent_trapezoid(y, leading, chord)
         self.remarks.append(Remark("assumed", part.name, "trapezoid of the same area, span and mean chord"))
-        return Fins(part.name, count, root, tip, float(y[-1]), sweep, part.front_m + shift, radius)
+        return FinSet(part.name, count, root, tip, float(y[-1]), sweep, part.front_m + shift, radius)
 
     def _strips(self, e: Element) -> tuple[Array, Array, Array]:
         """Return distances from the root, and leading edge and chord of a freeform fin there."""
@@ -945,7 +945,7 @@ def _curve(mach: Array, axial: Array, usable: Array) -> tuple[Array, Array] | No
     return x, y
 
 
-def _ogive(x: Numbers, radius: float, length: float, share: float) -> Numbers:
+def _ogive(x: RealOrComplex, radius: float, length: float, share: float) -> RealOrComplex:
     """Return an ogive: tangent for a share of 1, a cone for 0."""
     if length < radius:
         x, length = x * (radius / length), radius
@@ -960,12 +960,12 @@ def _ogive(x: Numbers, radius: float, length: float, share: float) -> Numbers:
     return np.asarray(np.sqrt(rho**2 - (at - x) ** 2) - math.sqrt(rho**2 - at**2))
 
 
-def _haack(x: Numbers, radius: float, length: float, c: float) -> Numbers:
+def _haack(x: RealOrComplex, radius: float, length: float, c: float) -> RealOrComplex:
     angle = np.arccos(1.0 - 2.0 * x / length)
     return np.asarray(radius * np.sqrt((angle - 0.5 * np.sin(2.0 * angle) + c * np.sin(angle) ** 3) / math.pi))
 
 
-SHAPES: Mapping[str, Callable[[Numbers, float, float, float], Numbers]] = {
+SHAPES: Mapping[str, Callable[[RealOrComplex, float, float, float], RealOrComplex]] = {
     "conical": lambda x, r, length, _: r * x / length,
     "ogive": _ogive,
     "ellipsoid": lambda x, r, length, _: r * np.sqrt(2.0 * x / length - (x / length) ** 2),

@@ -18,10 +18,10 @@ from maxq.tools.vehicle.airframe import (
     Airframe,
     AirframeStage,
     Body,
-    Fins,
+    FinSet,
     Motor,
     Piece,
-    Profile,
+    RadiusProfile,
     Remark,
     equivalent_trapezoid,
     revolved,
@@ -188,7 +188,7 @@ class _Reading:
             "motor without propellant", mass, at, max(float(m.dry_I_11) / mass - 0.5 * roll, 0.0), roll, 0.5 * roll
         )
 
-    def _fins(self, s: Any, station: float) -> Fins | None:
+    def _fins(self, s: Any, station: float) -> FinSet | None:
         kind, name = _kind(s), str(getattr(s, "name", "fins"))
         if kind in ("NoseCone", "Tail", "RailButtons"):
             return None
@@ -198,14 +198,14 @@ class _Reading:
             self.remarks.append(Remark("missing", name, "roll torque of canted fins"))
         radius, root, span, count = float(s.rocket_radius), float(s.root_chord), float(s.span), int(s.n)
         if kind == "TrapezoidalFins":
-            return Fins(name, count, root, float(s.tip_chord), span, float(s.sweep_length), station, radius)
+            return FinSet(name, count, root, float(s.tip_chord), span, float(s.sweep_length), station, radius)
         y = span * np.sin(np.linspace(0.0, 0.5 * math.pi, 2001))
         chord = root * np.sqrt(np.maximum(1.0 - (y / span) ** 2, 0.0))
         as_root, tip, sweep, shift = equivalent_trapezoid(y, 0.5 * (root - chord), chord)
         self.remarks.append(Remark("assumed", name, "trapezoid of the same area, span and mean chord"))
-        return Fins(name, count, as_root, tip, span, sweep, station + shift, radius)
+        return FinSet(name, count, as_root, tip, span, sweep, station + shift, radius)
 
-    def _bodies(self, motor: Motor, fins: tuple[Fins, ...]) -> tuple[Body, ...]:
+    def _bodies(self, motor: Motor, fins: tuple[FinSet, ...]) -> tuple[Body, ...]:
         nose, length = self.nose, float(self.nose.length)
         kind = str(nose.kind).lower().replace(" ", "").replace("_", "")
         if kind not in _KINDS:
@@ -263,7 +263,7 @@ def _table(thrust: Callable[[float], float], begin_s: float, end_s: float) -> tu
 
 
 def _body(
-    name: str, front: float, rear: float, front_radius: float, rear_radius: float, profile: Profile | None = None
+    name: str, front: float, rear: float, front_radius: float, rear_radius: float, profile: RadiusProfile | None = None
 ) -> Body:
     length = rear - front
 
