@@ -377,7 +377,9 @@ def test_python_code_that_does_not_return_from_close_is_ended(caplog: pytest.Log
         "    def close(self): time.sleep(3600)\n"
     )
     assert flown(*flies(python="own.py:Waits", timeout_s=1)).outcome == "duration"
-    assert "own.py:Waits failed at its end, after the flight: did not return within 1 s at its end" in caplog.messages[-1]
+    assert (
+        "own.py:Waits failed at its end, after the flight: did not return within 1 s at its end" in caplog.messages[-1]
+    )
 
 
 @pytest.mark.parametrize("value", ["10**30", "2**64 + 1", "-2**63 - 1"])
