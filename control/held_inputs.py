@@ -23,7 +23,7 @@ class Superposition:
     """The state of the sum of two flights' inputs; triples are per body axis.
 
     - `sample_s`, `count_rad`, `method`, `limit_rad`: parameters of the flight computer.
-    - `rounded`: 1 if both flights have pulses of `count_rad`.
+    - `rounded`: 1 if both flights have pulses of `count_rad`; 0 if the angles of the held flight are not rounded.
     - `blended`: 1 if the law's rate is a blend of several gyros.
     - `added_counts`, `added_rad`: deviation of the angles added so far.
     - `total_counts`: pulses since the start, including those added.
@@ -55,6 +55,8 @@ def superpose(
     The angles of the held flight are deviations from its start. `share` (0 to 1, for a gradual start) is the fraction
     of them that is added, and the pulses added are the change of this fraction since the previous call. The clock, the
     commands, the axial specific force, mass, speed and dynamic pressure are those of the tape.
+
+    If the held flight is not rounded, only the pulses are: code that integrates them receives the rounded sum.
     """
     outs[0] = tape[row]
     flown, held, state, out = tape[row], heard[place], states[0], outs[0]
@@ -72,6 +74,10 @@ def superpose(
             out.delta_angle_rad[axis] = flown.delta_angle_rad[axis] + (wanted_rad - state.added_rad[axis])
             out.angle_rad[axis] = flown.angle_rad[axis] + wanted_rad
             state.added_rad[axis] = wanted_rad
+            if state.count_rad > 0.0:
+                counts = round_half_away(out.angle_rad[axis] / state.count_rad) - state.total_counts[axis]
+                state.total_counts[axis] += counts
+                out.counts[axis] = counts
         out.rate_radps[axis] = out.delta_angle_rad[axis] / state.sample_s
         if state.blended != 0:
             own_radps = held.rate_radps[axis] - held.delta_angle_rad[axis] / state.sample_s

@@ -6,6 +6,7 @@ ksr3-robust by hand (examples/flight_software), whose linear loop is known.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +27,11 @@ from maxq.design.certificate.response import measure
 from maxq.design.quantities import LoopLimits
 from maxq.design.verify.certified import measured_requirements
 from maxq.design.verify.flown import flight_requirements, fly_alone
+from maxq.design.verify.slosh import SloshAdvice, confirm
 from maxq.design.verify.suite import SuiteFlight
 from maxq.sim.run.held_code import HeldCode, command_offset
 from maxq.sim.scenario.loader import LoadedScenario, load_scenario
+from maxq.tools.design.export import export_c
 
 NODE_S, GAIN = 40.0, 1.8
 EARLY_S, EARLY = 16.0, "run.duration_s=22"
@@ -177,6 +180,37 @@ def test_a_flight_of_the_code_that_ends_before_the_point_is_reported(tmp_path: P
     designed = load_scenario("nominal", [EARLY, *flies(library=library(tmp_path, tested="1"))])
     (said,) = certify_node(designed, node).unexplained
     assert said.startswith("the flight code does not reach the point: node at 40 s")
+    with pytest.raises(CodeLost):
+        hold(designed, node)
+    nan = math.nan
+    advice = SloshAdvice(NODE_S, 0, 0, 5.0, 6.0, 4.0, 0.005, 0.02, nan, nan, nan)
+    assert confirm(designed, node, advice) is advice  # the worst tank of a suite, near the end of the code's flight
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("flag", ["-DLAW_COUNT_RAD=0.0", ""], ids=["angles", "pulses"])
+def test_the_exported_law_agrees_with_its_design_at_all_lines(tmp_path: Path, flag: str) -> None:
+    """A law that takes angles agrees without rounding to the tolerance; one that takes pulses agrees within its noise.
+
+    Another gain of 1 dB is found in both.
+    """
+    export_c(load_scenario("nominal"), tmp_path)
+    code = (tmp_path / "flight_law_fsw.c").read_text()
+    node = maxq.nodes("nominal", [EARLY_S])[0]
+    for gain in ("1.0", "1.122"):
+        source = tmp_path / "own.c"
+        source.write_text(code.replace("= (double)wanted.requested_rad[i]", f"= {gain} * wanted.requested_rad[i]"))
+        assert gain in source.read_text()
+        words = [*filter(None, [flag]), *(str(tmp_path / name) for name in ("flight_law.c", "flight_law_tables.c"))]
+        library = compiled(tmp_path, source, f"own{gain[2:]}", f"-I{tmp_path}", *words)
+        found = certify_node(load_scenario("nominal", [EARLY, *flies(library=library)]), node, names=())
+        high = found.responses.lines_hz > 2.7
+        finite = np.isfinite(found.responses.unrounded[high])
+        if gain == "1.0":
+            assert found.unexplained == ()
+            assert finite.all() == bool(flag)
+        else:
+            assert len(found.unexplained) > 25
 
 
 def test_without_deviations_the_inputs_are_those_of_the_flight(tmp_path: Path) -> None:
@@ -195,6 +229,26 @@ def test_without_deviations_the_inputs_are_those_of_the_flight(tmp_path: Path) -
     for row in range(first, first + 1000):
         superpose(rows, row, still, 0, 1.0, state, out)
         assert out.tobytes() == rows[row : row + 1].tobytes()
+
+
+def test_without_rounding_the_pulses_still_contain_the_deviations(tmp_path: Path) -> None:
+    """Code that integrates pulses must measure the angle of the held flight to half a pulse, whose carry remains."""
+    at = held(loaded(library(tmp_path, tested="1"), "library", EARLY), EARLY_S)
+    assert at.tape is not None
+    count_rad, first = at.windows(at.tape, at.packed).count_rad, 1000
+    rows, state, moved, out = at.tape.inputs.copy(), blank(Superposition), blank(FswInputs), blank(FswInputs)
+    one: Any = state[0]
+    one.sample_s, one.count_rad, one.rounded = 0.01, count_rad, 0
+    one.limit_rad, one.attitude.measured.q[0], one.commanded.q[0] = 1.0, 1.0, 1.0
+    one.total_counts[:] = np.round(rows[first - 1].angle_rad / count_rad)
+    total = one.total_counts.copy()
+    for k in range(200):
+        moved["angle_rad"] = [0.3 * k * count_rad, -4.7 * count_rad * math.sin(0.2 * k), 0.0]
+        superpose(rows, first + k, moved, 0, 1.0, state, out)
+        total += out["counts"][0]
+        assert out["angle_rad"][0] == pytest.approx(rows[first + k].angle_rad + moved["angle_rad"][0], abs=1e-15)
+        assert np.abs(total - out["angle_rad"][0] / count_rad).max() <= 0.5 + 1e-6
+    assert total[0] - np.round(rows[first + 199].angle_rad[0] / count_rad) == 60
 
 
 def test_a_window_from_the_first_sample_begins_with_the_error_of_alignment(tmp_path: Path) -> None:

@@ -377,18 +377,31 @@ def test_python_code_that_does_not_return_from_close_is_ended(caplog: pytest.Log
         "    def close(self): time.sleep(3600)\n"
     )
     assert flown(*flies(python="own.py:Waits", timeout_s=1)).outcome == "duration"
-    assert "own.py:Waits failed at its end, after the flight: did not return within 1 s at its end" in caplog.messages[-1]
+    assert (
+        "own.py:Waits failed at its end, after the flight: did not return within 1 s at its end" in caplog.messages[-1]
+    )
 
 
-@pytest.mark.parametrize("value", ["10**30", "2**64 + 1", "-2**63 - 1"])
-def test_integers_beyond_64_bits_are_rejected(value: str) -> None:
+@pytest.mark.parametrize(
+    ("output", "said"),
+    [
+        ("'roll_thruster': 10**30", "ValueError: roll_thruster is an integer beyond 64 bits"),
+        ("'roll_thruster': 2**64 + 1", "ValueError: roll_thruster is an integer beyond 64 bits"),
+        ("'abort': -2**63 - 1", "ValueError: abort is an integer beyond 64 bits"),
+        ("'turn_thruster': (0, 2**64 - 1)", "ValueError: turn_thruster is an integer beyond 64 bits"),
+        ("'ignition': 1.5", "TypeError: ignition is 1.5: allowed is an integer"),
+        ("'turn_thruster': (0, -2)", "gave turn_thruster = -2: allowed is -1, 0 or 1"),
+    ],
+)
+def test_integers_of_python_code_are_checked(output: str, said: str) -> None:
     Path("own.py").write_text(
         "class Autopilot:\n"
+        "    interface = 2\n"
         "    def __init__(self, setup): pass\n"
-        f"    def step(self, inputs): return {{'roll_thruster': {value}}}\n"
+        f"    def step(self, inputs): return {{{output}}}\n"
     )
     flight = flown(*flies(python="own.py:Autopilot"))
-    assert flight.failures[0].endswith("ValueError: roll_thruster is an integer beyond 64 bits")
+    assert flight.failures[0].endswith(said)
 
 
 def test_texts_of_the_code_contain_no_control_characters(capsys: Printed) -> None:

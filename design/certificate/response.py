@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
 from maxq.design.certificate.excitation import (
@@ -159,10 +160,10 @@ def _estimated(
 class ResponseTable:
     """The response L at lines, (lines,): continuous, exactly sampled, in flight, and in flight without rounding.
 
-    `unrounded` is measured with infinitely fine converters, and is NaN if not measured. A difference due to converter
-    noise vanishes in it. `nonlinear_db` is the change of L at half the excitation level, and is NaN if not measured.
-    `reason` explains each difference above the tolerance: "" (agrees), "incoherent" (not assessed), "converter noise"
-    (within 4.5 standard errors), "saturation", "flight ended", or "unexplained".
+    `unrounded` is measured with infinitely fine converters, and is NaN if not measured or if flight code rounds there.
+    A difference due to converter noise vanishes in it. `nonlinear_db` is the change of L at half the excitation level,
+    and is NaN if not measured. `reason` explains each difference above the tolerance: "" (agrees), "incoherent" (not
+    assessed), "converter noise" (within 4.5 standard errors), "saturation", "flight ended", or "unexplained".
     """
 
     lines_hz: Array
@@ -227,9 +228,12 @@ def measured_response(
     high = np.flatnonzero(lines > UNROUNDED_FROM_HZ)
     if len(high):
         fine = _without_rounding(held)
-        one = LineBand(_even(lines[high]), UNROUNDED_PERIOD_S, UNROUNDED_SETTLE_S, 1)
+        one = LineBand(_even(lines[high]), UNROUNDED_PERIOD_S, UNROUNDED_SETTLE_S, 1, held.tape is not None)
+        (one,) = away_from_slosh((one,), loop.fixed)
         found = measure(fine, one, excitation_level(fine, loop, one), poles)
         clean[high] = found.response * loop.response(lines[high]) / loop.response(one.lines_hz)
+        if held.tape is not None:
+            clean[high[_rounded_by_code(found, clean[high] / loop.response(lines[high]))]] = np.nan
         if at_half:
             weaker = measure(fine, one, excitation_level(fine, loop, one, HALF), poles)
             change[high] = decibels(weaker.response / found.response)
@@ -319,6 +323,17 @@ def _without_rounding(held: HeldFlight) -> HeldFlight:
         computer.sensors.converter["count_rad"] = 0.0
 
     return dataclasses.replace(held, fault=fault)
+
+
+def _rounded_by_code(found: MeasuredResponse, ratio: ComplexArray) -> NDArray[np.bool_]:
+    """Return the lines at which flight code has rounded in a flight without rounding, so that it shows nothing.
+
+    Code that works with pulses receives them in every flight. `ratio` is the ratio of measured to sampled L. At these
+    lines, noise between the lines hides L, or explains a difference that exceeds the tolerance.
+    """
+    noisy = np.abs(ratio - 1.0) <= NOISE_SIGMAS * found.error
+    differs = np.array([not _agrees(complex(each)) for each in ratio])
+    return np.isfinite(found.error) & differs & (noisy | (found.coherence < COHERENT))
 
 
 def _reason(error: float, coherence: float, ratio: complex, clean: complex, saturated: bool) -> str:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import _ctypes
 import contextlib
 import ctypes
+import operator
 import os
 import signal
 import socket
@@ -229,16 +230,26 @@ class _PythonClass(_InPython):
         for name, value in self._object.step(inputs).items():
             room = getattr(outputs, name)
             if isinstance(room, ctypes.Array):
-                room[:] = [float(item) for item in value]
-                continue
-            if isinstance(value, int) and not -_BEYOND_INT <= value < _BEYOND_INT:  # ctypes would take it modulo 2**64
-                raise ValueError(f"{name} is an integer beyond 64 bits")
-            setattr(outputs, name, value)
+                whole = room._type_ is ctypes.c_int64
+                room[:] = [_whole(name, item) if whole else float(item) for item in value]
+            else:
+                setattr(outputs, name, _whole(name, value) if isinstance(room, int) else value)
         return 0
 
     def close(self) -> None:
         if hasattr(self._object, "close"):
             self._object.close()
+
+
+def _whole(name: str, value: Any) -> int:
+    """Return an output as an integer; ctypes would take it modulo 2**64. Raises TypeError and ValueError."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise TypeError(f"{name} is {value!r}: allowed is an integer") from None
+    if not -_BEYOND_INT <= number < _BEYOND_INT:
+        raise ValueError(f"{name} is an integer beyond 64 bits")
+    return number
 
 
 HEADER = struct.Struct("=4sIq")
