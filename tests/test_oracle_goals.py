@@ -18,6 +18,7 @@ from maxq.control.kernel.records import Array
 from maxq.design.case.goals import GoalSection
 from maxq.design.case.schema import Case, LoadedCase, read_case
 from maxq.design.laws.schedule import UnsolvableError
+from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop
 from maxq.design.margins.measure import margins
 from maxq.design.margins.measured_loop import measure_loop
@@ -26,6 +27,7 @@ from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.pareto import aims_of, trade_off
 from maxq.design.optimise.plants import make_plant, make_plants
 from maxq.design.optimise.response_goals import function_of, registered
+from maxq.design.optimise.robust import deviated, modes_off, ranges_of
 from maxq.design.optimise.solve import solve
 from maxq.design.optimise.way_out import prices
 from maxq.design.quantities import STEPS
@@ -340,6 +342,33 @@ def test_a_tutorial_of_a_tuning_tool_is_met() -> None:
     assert overshoot <= 5.0 + 1e-3
     assert settled <= 2.0 + 1e-3
     assert 5.0 < 2.0 * math.pi * found.margins.crossover_hz < 10.0  # bandwidth of about 5 rad/s
+
+
+def test_a_goal_holds_for_dispersed_plants_if_it_says_so() -> None:
+    """Values of a template and of a margin at a dispersed vehicle are those of its own loop."""
+    goals = "goal=[{quantity='S',most_db=[[0.5,-10],[5,2]],dispersed=%s},{quantity='delay_ms',limit=30,dispersed=%s}]"
+    for told in ("true", "false"):
+        loaded = kit.case(goals % (told, told), "robust={}", *FEW)
+        case, node = loaded.case, kit.plants(*FEW).each[0].flown
+        ranges = ranges_of(loaded, [node])
+        assert ranges is not None
+        off = deviated(node, ranges, modes_off(node, ranges, 1))
+        plants = make_plants([make_plant(node, case), make_plant(off, case, dispersed=True)])
+        p = make_problem(case, plants)
+        x = kit.some_point(p)
+        rows = p.evaluate(x, complete=True).rows
+        law = p.law.controllers(x)[1]
+        judged = measure_loop(Loop(fixed_path(off), law))
+        of_goal = [k for k, kind in enumerate(p.kinds) if getattr(kind, "goal", None) is not None]
+        assert len(of_goal) == 2
+        for k, goal in zip(of_goal, case.goal, strict=True):
+            mine = rows.excess_db[(rows.what == k) & (rows.plant == 1)]
+            assert (len(mine) > 0) == (told == "true")
+            if told == "true" and goal.quantity == "S":
+                assert mine.max() == pytest.approx(goal_value(judged, goal), abs=2e-3)
+            elif told == "true":
+                value_ms = rows.value[(rows.what == k) & (rows.plant == 1)].min()
+                assert value_ms == pytest.approx(goal_value(judged, goal), rel=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,8 @@ from maxq.design.optimise.solve import nominal_plants
 from maxq.sim.packing.own_law import check_step, own_code
 from maxq.sim.run.fly import fly
 from maxq.sim.scenario.loader import load_scenario
+from maxq.tools.design.export import export_c
+from maxq.tools.design.report import design_table
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "own_law"
 SHORT = ["run.duration_s=8", "requirement=[]"]
@@ -166,6 +168,16 @@ def test_the_design_names_the_file_and_its_hash(lead: tuple[Path, object, object
             own_code(design.plug_in)
     finally:
         code.write_text(before)
+
+
+def test_tables_name_the_variables_and_the_export_to_c_is_refused(lead: tuple[Path, object, object]) -> None:
+    loaded = load_scenario("nominal", [f'design="{lead[0]}"'])
+    lines = design_table(loaded.design)
+    head, first = lines[:2] if "k_p" in lines[0] else lines[1:3]
+    assert head.split() == ["time,", "s", "k_p", "k_d_s", "lead_zero_hz", "lead_pole_hz"]
+    assert [float(x) for x in first.split()] == [5.0, 1.0, 0.6, 5.0, 20.0]
+    with pytest.raises(ScenarioError, match=r'design.law = "own": cannot be exported as C; allowed: pd, pid, .*'):
+        export_c(loaded, lead[0].parent / "c")
 
 
 WRONG = {

@@ -236,27 +236,24 @@ class OwnVariables(PdVariables):
 
     def _terms(self, own: Array, axis: Axis) -> tuple[ValueAndSlopes, ComplexArray]:
         """Return C without filters on attitude error and rate (points, 2), with both derivatives, and its gradients."""
-        n, count, z = self.filter.size, len(self.keys), axis[-1]
-        out = tuple(np.zeros((len(own), 2), np.complex128) for _ in range(3))
-        by = np.zeros((len(own), 2, count), np.complex128)
-        rows = np.ascontiguousarray(own[:, n : n + count])
-        each, of = np.unique(rows, axis=0, return_inverse=True)
-        turn = axis[-2]  # dz / dx = z * turn
-        for k, row in enumerate(each):
-            i = np.flatnonzero(of.ravel() == k)
-            (a, b, c, d), slopes = self._matrices(row)
-            w, zi = turn[i, None], z[i]
-            r = np.linalg.inv(zi[:, None, None] * np.eye(len(a)) - a)
-            left, right = (c @ r)[:, 0, :], r @ b
-            first = -np.einsum("pi,pij->pj", left, right)
-            second = 2.0 * np.einsum("pi,pij,pjk->pk", left, r, right)
-            dz, dzz = zi[:, None] * w, zi[:, None] * w * (w + 1.0)
-            out[0][i] = -((c @ right)[:, 0, :] + d[0])
-            out[1][i], out[2][i] = -first * dz, -(second * dz * dz + first * dzz)
-            for j, (da, db, dc, dd) in enumerate(slopes):
-                moved = (dc @ right)[:, 0, :] + np.einsum("pi,pij->pj", left, da @ right + db) + dd[0]
-                by[i, :, j] = -moved
-        return out, by  # type: ignore[return-value]  # three of them
+        n, turn, z = self.filter.size, axis[-2], axis[-1]  # dz / dx = z * turn
+        if len(own) == 0:
+            none = np.zeros((0, 2), np.complex128)
+            return (none, none, none), np.zeros((0, 2, len(self.keys)), np.complex128)
+        rows = np.ascontiguousarray(own[:, n : n + len(self.keys)])
+        changes = np.any(rows[1:] != rows[:-1], axis=1)
+        of = np.concatenate([[0], np.cumsum(changes)])  # points of a plant follow each other
+        each = [self._matrices(rows[k]) for k in (0, *(np.flatnonzero(changes) + 1))]
+        a, b, c, d = (np.stack([system[m] for system, _ in each])[of] for m in range(4))
+        da, db, dc, dd = (np.stack([[slope[m] for slope in slopes] for _, slopes in each])[of] for m in range(4))
+        r = np.linalg.inv(z[:, None, None] * np.eye(a.shape[1]) - a)
+        left, right = c @ r, r @ b
+        first, second = -(left @ right)[:, 0], 2.0 * (left @ r @ right)[:, 0]
+        dz = (z * turn)[:, None]
+        dzz = dz * (turn + 1.0)[:, None]
+        moved = dc @ right[:, None] + left[:, None] @ (da @ right[:, None] + db) + dd
+        out = -((c @ right) + d)[:, 0], -first * dz, -(second * dz * dz + first * dzz)
+        return out, -moved[:, :, 0].transpose(0, 2, 1)
 
     def _on_measurements(self, own: Array, axis: Axis) -> tuple[ValueAndSlopes, ComplexArray]:
         n, count, first = self.filter.size, len(self.keys), self.filter.size + len(self.keys) + self.further

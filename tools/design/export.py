@@ -42,7 +42,7 @@ Format = Literal["mat", "npz", "json"]
 FORMATS = get_args(Format)
 SOURCES = ("flight_law.h", "flight_law.c", "flight_law_fsw.c", "test_flight_law.c", "CMakeLists.txt")
 TEST_SAMPLES = 600
-EXPORTED_LAWS = get_args(Law)
+EXPORTED_LAWS = tuple(law for law in get_args(Law) if law != "own")
 _SHAKEN = {"at": "rate_command", "kind": "sine", "amplitude_degps": 2.0}
 _UNITS = {unit_suffix(unit): unit for unit in ("rad/s^2", "rad/s", "rad", "m/s^2", "m/s", "m", "s", "N", "N m")}
 

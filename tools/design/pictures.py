@@ -21,6 +21,7 @@ from maxq.sim.packing.computer import bending_filter
 from maxq.sim.scenario.schema_design import Design
 from maxq.tools.design.open_loop import picture_of
 from maxq.tools.design.pictures_loop import draw_loop
+from maxq.tools.design.report import GAIN_HEADS
 from maxq.tools.plots.palette import BLACK, BLUE, GREY, RED
 from maxq.tools.plots.style import MARKERS, curve, drawing, label, plain_numbers, save, sheet
 
@@ -126,7 +127,7 @@ def gains(designs: Mapping[str, Design], title: str = "") -> Figure:
     over = {AXIS_OF[design.gains.over] for design in designs.values()}
     for place, name in zip(places, names, strict=False):
         place.set_ylim(bottom=0.0)
-        label(place, ", ".join(sorted(over)), AXIS_OF[name])
+        label(place, ", ".join(sorted(over)), AXIS_OF.get(name) or GAIN_HEADS[name])
     if len(designs) > 1 or any(d.gains.yaw_table is not None for d in designs.values()):
         places[0].legend()
     return figure

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from maxq.control.kernel.records import Array
+from maxq.control.structures import OWN
 from maxq.design.loop.fixed_path import LoopKind
 from maxq.design.margins.lobes import Lobe
 from maxq.design.margins.measure import Margins
@@ -40,21 +41,31 @@ if TYPE_CHECKING:
     from maxq.design.verify.outcome import DesignOutcome
     from maxq.design.verify.own_flight import CaseDesign
 
-GAIN_HEADS = {
-    "time_s": "time, s",
-    "speed_mps": "speed, m/s",
-    "mass_kg": "mass, kg",
-    "dynamic_pressure_Pa": "q, Pa",
-    "k_p": "k_p",
-    "k_d_s": "k_d, s",
-    "k_i_ps": "k_i, 1/s",
-    "k_a_s2pm": "k_a, s2/m",
-    "k_alpha": "k_alpha",
-    "percussion_m": "percussion, m",
-    "accel_per_incidence_mps2": "per angle of attack, m/s2",
-    "k_zd_radspm": "k_zd, rad s/m",
-    "k_z_radpm": "k_z, rad/m",
-}
+
+class GainHeads(dict[str, str]):
+    """The headings of the columns of a gain table. That of a variable of the law `own` is its name."""
+
+    def __missing__(self, name: str) -> str:
+        return name.removeprefix(OWN)
+
+
+GAIN_HEADS = GainHeads(
+    {
+        "time_s": "time, s",
+        "speed_mps": "speed, m/s",
+        "mass_kg": "mass, kg",
+        "dynamic_pressure_Pa": "q, Pa",
+        "k_p": "k_p",
+        "k_d_s": "k_d, s",
+        "k_i_ps": "k_i, 1/s",
+        "k_a_s2pm": "k_a, s2/m",
+        "k_alpha": "k_alpha",
+        "percussion_m": "percussion, m",
+        "accel_per_incidence_mps2": "per angle of attack, m/s2",
+        "k_zd_radspm": "k_zd, rad s/m",
+        "k_z_radpm": "k_z, rad/m",
+    }
+)
 DRIFT_GAINS = ("k_zd_radspm", "k_z_radpm")  # orders of magnitude smaller than the other gains
 MET, MISSED = "met", "MISSED"
 SENSITIVITIES = "Change of the worst values for +1 % of a frequency or gain, or +0.01 of a damping ratio or weight"

@@ -218,13 +218,28 @@ def _cluster(result: list[dict[str, Any]]) -> str:
     return _table(head, rows)
 
 
+FURTHER = (
+    ("their CPU", "table_cpu_s", 0.0),
+    ("robust design of petrel, three stages, wall", "petrel_s", 60.0),
+    ("its CPU", "petrel_cpu_s", 0.0),
+    ("first design of a new case, from the start of the process, wall", "first_s", 5.0),
+    ("its CPU", "first_cpu_s", 0.0),
+)
+"""The rows of the optimiser's further times: text, key, and limit in seconds, or 0 without a limit."""
+
+
 def _optimise(result: dict[str, Any]) -> str:
     one, optima = result["single"], result["table"]
     rows = [
         ["F6, free gains, CPU", f"{one['seconds']:.1f} s", "3 s", _met(one["seconds"], 3.0)],
         ["its operating points, CPU", f"{one['seconds_plants']:.1f} s", "", ""],
         ["CPU at 44 operating points / at 11", f"{one['nodes_ratio']:.1f}", "4.5", _met(one["nodes_ratio"], 4.5)],
-        [f"{len(optima)} optima, all cores, wall", f"{one['table_s']:.1f} s", "12 s", _met(one["table_s"], 12.0)],
+        [f"{len(optima)} optima, all cores, wall", f"{one['table_s']:.1f} s", "8 s", _met(one["table_s"], 8.0)],
+        *(
+            [what, f"{one[key]:.1f} s", f"{most:g} s" if most else "", _met(one[key], most) if most else ""]
+            for what, key, most in FURTHER
+            if key in one
+        ),
         ["robust design with worst-case search, wall", f"{one['robust_s']:.1f} s", "60 s", _met(one["robust_s"], 60.0)],
     ]
     text = _table(("quantity", "measured", "limit", "met"), rows)
