@@ -230,7 +230,7 @@ def _whole_content(path: str | Path) -> bytes:
 
 
 def load_objects(codegen: Any, objects: Mapping[str, bytes]) -> None:
-    """Load the object files of routines (by name) into this process, once each."""
+    """Load the object files `objects` (by name of the routine) that this process has not loaded yet."""
     for name in objects.keys() - _loaded:
         codegen._engine._ee.add_object_file(llvmlite.binding.ObjectFileRef.from_data(objects[name]))
         _loaded.add(name)

@@ -187,7 +187,7 @@ def _over_ground(earth: Earth, rotation: Matrix, at: Vector, y: Array) -> tuple[
 
 @kernel
 def _hanging(tank: int, pad: Vector, properties: Array, y: Array, first: int) -> Vector:
-    """Return the force on the body by the rod of a bob that moves as the pad."""
+    """Return the force that the rod of a bob at rest relative to the pad exerts on the body, in B, N."""
     u = vector_at(y, first)
     return scaled(-bob_mass(properties, tank) * dot(pad, u), u)
 
