@@ -308,7 +308,7 @@ def test_the_orbit_message_is_the_state_after_the_last_burnout(folder: Path, log
     ("words", "said"),
     [
         (["nominal", "--csv", "f.csv"], "nominal is no log: fly the scenario first (simrun fly nominal), then export"),
-        (["LOG"], "give a file to write: --fmu, --csv, --mat, --kml, --geojson, --oem, --opm"),
+        (["LOG"], "give a file to write: --fmu, --csv, --mat, --hdf5, --kml, --geojson, --oem, --opm"),
         (["LOG", "--csv", "f.txt"], "--csv f.txt: the name of this file ends with .csv"),
         (["LOG", "--csv", "f.csv", "--channels", "altitud_m"], "did you mean altitude_m?"),
         (["LOG", "--opm", "f.opm", "--utc", "tomorrow"], "--utc tomorrow: is not a date and time; allowed: ISO 8601"),

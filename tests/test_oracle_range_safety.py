@@ -12,6 +12,7 @@ from scipy.integrate import quad
 import maxq
 from maxq.control.kernel.limits import MAX_TRAIL
 from maxq.control.kernel.records import Array
+from maxq.sim.flight.metric_table import ImpactMetrics
 from maxq.sim.input.errors import ScenarioError
 from maxq.sim.run.fly import fly
 from maxq.sim.run.metrics import geodesic_m
@@ -90,10 +91,13 @@ def test_corners_notches_and_the_antimeridian() -> None:
 def test_a_flight_has_the_metrics_of_its_log_and_no_other_state() -> None:
     """Its trail is full after 51.1 s, and is then kept every 0.2 s. The flight itself does not change."""
     given = "range_safety={azimuth_deg=200.0, zone=[[34.0, 126.0], [34.0, 127.0], [36.0, 127.0], [36.0, 126.0]]}"
-    plain = load_scenario("checkcases/two-stage", ["run.duration_s=60"])
-    scenario = load_scenario("checkcases/two-stage", ["run.duration_s=60", given])
-    flight = fly(scenario)
+    run = ["run.duration_s=60", "run.step_s=0.005"]
+    plain, scenario = load_scenario("checkcases/two-stage", run), load_scenario("checkcases/two-stage", [*run, given])
+    flight, unlogged = fly(scenario), fly(scenario, log=False)  # in one segment, as in a campaign
     assert flight.state_hash == fly(plain, log=False).state_hash
+    for name in ImpactMetrics._fields:
+        assert unlogged.metrics[name] == flight.metrics[name]
+        assert unlogged.metric_times_s[name] == flight.metric_times_s[name]
     log = maxq.impacts(flight)
     time_s = log.time_s("impact_latitude_deg")
     kept = np.isclose(np.mod(time_s + 1e-9, 0.2), 0.0, atol=1e-6)
@@ -104,8 +108,11 @@ def test_a_flight_has_the_metrics_of_its_log_and_no_other_state() -> None:
     ranges_m = [geodesic_m(earth.equatorial_radius_m, earth.flattening, start, tuple(p)) for p in points.tolist()]
     assert flight.metrics["max_impact_range_m"] == pytest.approx(max(ranges_m), abs=1e-3)
     assert flight.metric_times_s["max_impact_range_m"] == pytest.approx(time_s[kept][np.argmax(ranges_m)], abs=1e-9)
-    south = np.degrees(points[:, 0]).min() - 34.0  # the site is north of the zone's southern edge
-    assert math.copysign(1.0, flight.metrics["max_impact_excursion_m"]) == (1.0 if south < 0.0 else -1.0)
+    latitude, longitude = np.degrees(points).T
+    east_m = 111.4e3 * np.cos(points[:, 0])  # per degree
+    to_edges_m = [(latitude - 34.0) * 110.93e3, (36.0 - latitude) * 110.93e3]
+    to_edges_m += [(longitude - 126.0) * east_m, (127.0 - longitude) * east_m]
+    assert flight.metrics["max_impact_excursion_m"] == pytest.approx(-np.min(to_edges_m), rel=5e-3)
 
 
 @pytest.mark.parametrize(
