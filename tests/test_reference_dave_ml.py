@@ -241,6 +241,8 @@ def test_a_grid_of_two_variables_is_in_the_order_of_its_breakpoints() -> None:
         (two_stage().replace("-20., 0., 20.", "-20., 20., 0."), "function Cm_fcn: its breakpoints do not increase"),
         (two_stage().replace("griddedTableDef", "ungriddedTableDef"), "function CL_fcn: holds no gridded table"),
         (two_stage().replace("-1.6, -1.0,", "-1.6, x,"), "dataTable of CL_fcn: could not convert string to float"),
+        (two_stage(total=_calculation(_apply("power", "<ci>alpha</ci>"))), "alphaT: <power> has 1 operand"),
+        (brick().replace('"0.33333"', '"0"'), "variable p: needs the true airspeed and a reference length"),
         (brick().replace('units="rad_s"', 'units="deg_s"'), "variable p: unit deg_s is not rad_s"),
         (
             brick().replace("<ci>p2V</ci>", _apply("power", "<ci>p2V</ci>", "<cn>2</cn>")),

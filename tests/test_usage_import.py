@@ -96,7 +96,19 @@ _POD = "<podset><name>pods</name></podset>"
         (b"<openrocket><rocket/></openrocket>", "has no stage"),
         (orkkit.xml(upper="<rotor/>").encode(), "rotor: is not a known component; allowed: trapezoidfinset"),
         (orkkit.xml(lower=_POD).encode(), "podset 'pods': pods are not imported"),
-        (orkkit.xml().replace("<length>0.6", "<length>-0.6").encode(), "bodytube 'tube', length: is -0.6; allowed: a"),
+        (
+            orkkit.xml().replace("<length>0.6", "<length>-0.6").encode(),
+            "bodytube 'tube', length: is -0.6; allowed: a number above 0",
+        ),
+        (
+            orkkit.xml().replace("<length>0.6", "<length>1e300").encode(),
+            "length: is 1e300; allowed: a number above 0, up",
+        ),
+        (orkkit.xml().replace("<instancecount>2", "<instancecount>1e6").encode(), "instancecount: is 1000000"),
+        (
+            orkkit.xml().replace("<shape>c", "<shapeparameter>2</shapeparameter><shape>c").encode(),
+            "shapeparameter: is 2",
+        ),
         (orkkit.xml().replace("<mass>0.4", "<mass>nan").encode(), "masscomponent 'payload', mass: is nan"),
         (orkkit.xml().replace("<shape>conical", "<shape>bulb", 1).encode(), "nosecone 'nose', shape: is bulb; allowed"),
         (orkkit.xml().replace("M38-P", "X1").encode(), "stage 'Upper stage': there is no thrust curve of its motor X1"),

@@ -102,6 +102,8 @@ _OPERATIONS: Mapping[str, Callable[..., Any]] = {
     "or": np.logical_or,
     "not": np.logical_not,
 }
+_UNARY = ("root", "abs", "exp", "ln", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "not")
+_BINARY = ("divide", "power", "lt", "leq", "gt", "geq", "eq", "neq")
 _CONSTANTS = {"pi": math.pi, "exponentiale": math.e}
 
 
@@ -267,6 +269,9 @@ def _expression(e: Element, key: str, names: set[str]) -> Callable[[Mapping[str,
             f"calculation of {key}: <{what}> is not supported; of MathML: {', '.join(_OPERATIONS)}, piecewise"
         )
     operands = [_expression(each, key, names) for each in e[1:]]
+    most = 1 if e[0].tag in _UNARY else 2 if e[0].tag in (*_BINARY, "minus") else len(operands)
+    if len(operands) > most or (e[0].tag in _BINARY and len(operands) < 2):
+        raise DaveError(f"calculation of {key}: <{e[0].tag}> has {len(operands)} operand{'s' * (len(operands) != 1)}")
     return lambda values: operation(*(each(values) for each in operands))
 
 
@@ -464,7 +469,7 @@ def _rate_inputs(model: DaveModel, needed: set[str]) -> dict[int, tuple[_Variabl
         if variable is None or variable.key not in needed:
             continue
         length = model.by_name(_LENGTHS[1 if number == 1 else 0])
-        if speed is None or length is None or length.initial is None:
+        if speed is None or length is None or not length.initial:
             raise DaveError(f"variable {variable.key}: needs the true airspeed and a reference length")
         if variable.units not in ("rad_s", "rps"):
             raise DaveError(f"variable {variable.key}: unit {variable.units} is not rad_s")
@@ -484,6 +489,8 @@ def _add_slopes(
     shares = (0.0, 0.005, 0.01)
     steps = [model.values(outputs.values(), {**given, variable.key: np.asarray(share * rate)}) for share in shares]
     for name, key in outputs.items():
+        if not all(np.isfinite(found[key]).all() for found in steps):
+            raise DaveError(f"variable {key}: is not finite over {variable.key}")
         low, middle, high = (np.broadcast_to(found[key], columns[name].shape) for found in steps)
         slope = (high - low) / shares[2]
         curved = np.abs(high - 2.0 * middle + low).max()

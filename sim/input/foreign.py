@@ -22,7 +22,6 @@ import re
 
 import numpy as np
 
-from maxq.sim.input.dave_ml import DaveError, coefficient_columns, read_model
 from maxq.sim.input.documents import Text
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.files import Reading
@@ -192,6 +191,8 @@ def _datcom(name: Text, reading: Reading, columns: Columns) -> CsvTable | None:
 def _coefficients(name: Text, reading: Reading, columns: Columns) -> CsvTable | None:
     if not name.lower().endswith(".dml"):
         return _datcom(name, reading, columns)
+    from maxq.sim.input.dave_ml import DaveError, coefficient_columns, read_model  # noqa: PLC0415  # imports SciPy
+
     shown, text = reading.read_table(name)
     try:
         found = coefficient_columns(read_model(text))

@@ -75,6 +75,8 @@ _MODULUS_GPa = {
     "balsa": 3.0,
 }
 _OTHER_GPa = 2.5  # cardboard, paper and most plastics
+_MOST_INSTANCES = 200
+_MOST = 1e6  # of any number, in the unit of the file
 _LEAST_POINTS = 4  # of a drag curve from a stored simulation
 
 
@@ -137,9 +139,14 @@ class _Motors:
                 self.named.setdefault(_plain(found.name), found)
                 self.only = found if len(given) == 1 else None
         self._beside: dict[str, MotorFile] = {}
+        self.unread = list[str]()
         for path in sorted(design.parent.iterdir()) if not given else []:
             if path.suffix.lower() in SUFFIXES and path.is_file():
-                found = read_motor(path)
+                try:
+                    found = read_motor(path)
+                except ScenarioError as error:
+                    self.unread.append(str(error))
+                    continue
                 self._beside.setdefault(_plain(found.name), found)
 
     def find(self, designation: str) -> MotorFile | None:
@@ -225,8 +232,9 @@ class _Design:
             value = float(text.removeprefix("auto").strip() or "nan")
         except ValueError:
             value = math.nan
-        if not math.isfinite(value) or value < least or (above and value <= least):
-            allowed = f"a number {'above' if above else 'from'} {least:g}" if math.isfinite(least) else "a number"
+        if not abs(value) <= _MOST or value < least or (above and value <= least):
+            low = max(least, -_MOST)
+            allowed = f"a number {'above' if above else 'from'} {low:g}, up to {_MOST:g}"
             self.refuse(element, f"is {text or 'missing'}", key, allowed=allowed)
         return value
 
@@ -252,8 +260,8 @@ class _Design:
             value = float(material.get("density", "nan"))
         except ValueError:
             value = math.nan
-        if not value >= 0.0 or math.isinf(value):
-            self.refuse(element, f"has the density {material.get('density')}", key, allowed="a number from 0")
+        if not 0.0 <= value <= _MOST:
+            self.refuse(element, f"has the density {material.get('density')}", key, allowed=f"0 to {_MOST:g}")
         return value
 
     # components and stations
@@ -351,7 +359,7 @@ class _Design:
             rows = [(float(p.get("x", "nan")), float(p.get("y", "nan"))) for p in (found if found is not None else ())]
         except ValueError:
             rows = []
-        if len(rows) < 3 or not np.isfinite(rows).all() or rows[-1][0] <= 0.0:
+        if len(rows) < 3 or not (np.abs(rows) <= _MOST).all() or rows[-1][0] <= 0.0:
             self.refuse(element, "is not a list of three points or more", "finpoints", allowed="numbers")
         return np.array(rows)
 
@@ -414,6 +422,8 @@ class _Design:
             own = [replace(p, roll_m2=p.roll_m2 + away**2, across_m2=p.across_m2 + 0.5 * away**2) for p in own]
             self.remarks.append(Remark("assumed", part.name, f"balanced at {away:g} m from the axis"))
         count = round(self.number(e, "instancecount", 1.0, least=1.0)) if part.tag not in (*_FINS, "tubefinset") else 1
+        if count > _MOST_INSTANCES:
+            self.refuse(e, f"is {count}", "instancecount", allowed=f"up to {_MOST_INSTANCES}")
         count *= self._cluster(e) if part.tag == "innertube" else 1
         apart = self.number(e, "instanceseparation", 0.0, least=-math.inf) if part.tag != "innertube" else 0.0
         return [p.moved(k * apart) for k in range(count) for p in own]
@@ -460,6 +470,8 @@ class _Design:
         parameter = self.number(e, "shapeparameter", _DEFAULTS.get(name, 0.0))
         if name not in SHAPES:
             self.refuse(e, f"is {name}", "shape", allowed=", ".join(SHAPES))
+        if parameter > 1.0:
+            self.refuse(e, f"is {parameter:g}", "shapeparameter", allowed="0 to 1")
         shape, before = SHAPES[name], 0.0
         if small > 0.0 and (e.findtext("shapeclipped") or "").strip() == "true":
 
@@ -469,6 +481,8 @@ class _Design:
             most = length
             while excess(most) < 0.0 and most < 1e6 * length:
                 most *= 2.0
+            if excess(most) <= 0.0:
+                self.refuse(e, f"the shape {name} does not begin at {small:g} m", "foreradius")
             before = float(brentq(excess, 0.0, most, xtol=1e-14))
             base, gain = 0.0, large
         else:
@@ -792,7 +806,8 @@ class _Design:
         file = motors.find(designation)
         if file is None and curve is None:
             allowed = "--motor FILE (.eng or .rse), or such a file next to the design"
-            self.refuse(stage, f"there is no thrust curve of its motor {designation}", allowed=allowed)
+            unread = f" ({motors.unread[0]})" if motors.unread else ""
+            self.refuse(stage, f"there is no thrust curve of its motor {designation}{unread}", allowed=allowed)
         length = self.number(element, "length", file.length_m if file else None, above=True)
         radius = 0.5 * self.number(element, "diameter", file.diameter_m if file else None, above=True)
         rear = part.front_m + part.length_m + self.number(mount, "overhang", 0.0, least=-math.inf)
