@@ -23,7 +23,7 @@ from maxq.design.certificate.excitation import band, excitation_level
 from maxq.design.certificate.held_flight import CodeDiffers, CodeLost, HeldFlight, hold
 from maxq.design.certificate.in_flight import LINES_HZ, in_flight_response_of_code
 from maxq.design.certificate.measured_only import measure_node
-from maxq.design.certificate.response import measure
+from maxq.design.certificate.response import BANDS, measure
 from maxq.design.quantities import LoopLimits
 from maxq.design.verify.certified import measured_requirements
 from maxq.design.verify.flown import flight_requirements, fly_alone
@@ -203,14 +203,15 @@ def test_the_exported_law_agrees_with_its_design_at_all_lines(tmp_path: Path, fl
         assert gain in source.read_text()
         words = [*filter(None, [flag]), *(str(tmp_path / name) for name in ("flight_law.c", "flight_law_tables.c"))]
         library = compiled(tmp_path, source, f"own{gain[2:]}", f"-I{tmp_path}", *words)
-        found = certify_node(load_scenario("nominal", [EARLY, *flies(library=library)]), node, names=())
+        bands = BANDS if gain == "1.0" else BANDS[1:2]
+        found = certify_node(load_scenario("nominal", [EARLY, *flies(library=library)]), node, bands=bands, names=())
         high = found.responses.lines_hz > 2.7
         finite = np.isfinite(found.responses.unrounded[high])
         if gain == "1.0":
             assert found.unexplained == ()
             assert finite.all() == bool(flag)
         else:
-            assert len(found.unexplained) > 25
+            assert len(found.unexplained) > 10  # of 16 lines
 
 
 def test_without_deviations_the_inputs_are_those_of_the_flight(tmp_path: Path) -> None:

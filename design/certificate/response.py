@@ -333,7 +333,7 @@ def _rounded_by_code(found: MeasuredResponse, ratio: ComplexArray) -> NDArray[np
     """
     noisy = np.abs(ratio - 1.0) <= NOISE_SIGMAS * found.error
     differs = np.array([not _agrees(complex(each)) for each in ratio])
-    return np.isfinite(found.error) & differs & (noisy | (found.coherence < COHERENT))
+    return np.asarray(np.isfinite(found.error) & differs & (noisy | (found.coherence < COHERENT)), np.bool_)
 
 
 def _reason(error: float, coherence: float, ratio: complex, clean: complex, saturated: bool) -> str:
