@@ -95,6 +95,11 @@ def test_the_linear_law_is_that_of_python_control(lead: tuple[Path, object, obje
     z = control.ss(matrices.a, matrices.b, matrices.c, matrices.d, T)(np.exp(2j * np.pi * hz * T))
     of_control = z[0].T
     assert of_control == pytest.approx(found, rel=1e-9)
+    slow = designed_law(load_design(lead[0])).continuous_at(20.0, "pitch", T)
+    s, (zero_hz, pole_hz) = 2j * np.pi * hz, (v["own_lead_zero_hz"], v["own_lead_pole_hz"])
+    analogue = (1.0 + s / (2.0 * np.pi * zero_hz)) / (1.0 + s / (2.0 * np.pi * pole_hz)) * slow.filter_response(hz)
+    assert slow.response(hz)[:, 0] == pytest.approx(v["own_k_p"] * analogue, rel=1e-9)
+    assert slow.state_space().response(hz)[:, 0, :] == pytest.approx(slow.response(hz), rel=1e-9)
     assert law.static_gain("angle_rad") == pytest.approx(v["own_k_p"], rel=1e-12)
 
 
