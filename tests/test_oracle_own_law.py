@@ -14,8 +14,10 @@ from scipy import signal
 
 from maxq import Flight, ScenarioError
 from maxq.design.case.schema import read_case
+from maxq.design.certificate.certificate import certify_node
 from maxq.design.laws.design_file import design_of, design_text, load_design
 from maxq.design.laws.registry import designed_law
+from maxq.design.model.node import nodes_along
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.solve import nominal_plants
 from maxq.sim.packing.own_law import check_step, own_code
@@ -139,6 +141,17 @@ def test_the_flown_law_is_the_linear_law(lead: tuple[Path, object, object], lead
     expected = signal.lfilter(tf.num[0][0], tf.den[0][0], law_deg)
     assert np.ptp(expected) > 0.1
     assert f["law_pitch_deg"][held] == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.long
+def test_the_margin_in_a_held_flight_is_that_of_the_linear_law(lead: tuple[Path, object, object]) -> None:
+    """The upper gain margin is measured in the simulator at 35 s, where the compensator is frozen with the gains."""
+    flown = load_scenario("nominal", [f'design="{lead[0]}"'])
+    (node,) = nodes_along(flown, [35.0])
+    found = certify_node(flown, node, bands=(), names=("gain_up",))
+    assert found.stable
+    assert found.unexplained == ()
+    assert abs(found.margins[0].difference) < 0.2
 
 
 @pytest.mark.parametrize("language", ["python", pytest.param("c", marks=needs_compiler)])
