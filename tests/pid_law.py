@@ -96,6 +96,9 @@ class PidDesign:
         k_d, k_p, k_i = (float(np.interp(time_s, self.nodes_s, k)) for k in self.gains)
         return Pid(k_d, k_p, k_i, sample_s)
 
+    def continuous_at(self, time_s: float, plane: str, sample_s: float) -> Pid:
+        return self.at(time_s, plane, None)
+
     def tables(self) -> dict[str, Any]:
         return {}
 

@@ -14,8 +14,10 @@ from scipy import signal
 
 from maxq import Flight, ScenarioError
 from maxq.design.case.schema import read_case
+from maxq.design.certificate.certificate import certify_node
 from maxq.design.laws.design_file import design_of, design_text, load_design
 from maxq.design.laws.registry import designed_law
+from maxq.design.model.node import nodes_along
 from maxq.design.optimise.at_nodes import make_problem
 from maxq.design.optimise.solve import nominal_plants
 from maxq.sim.packing.own_law import check_step, own_code
@@ -95,6 +97,11 @@ def test_the_linear_law_is_that_of_python_control(lead: tuple[Path, object, obje
     z = control.ss(matrices.a, matrices.b, matrices.c, matrices.d, T)(np.exp(2j * np.pi * hz * T))
     of_control = z[0].T
     assert of_control == pytest.approx(found, rel=1e-9)
+    slow = designed_law(load_design(lead[0])).continuous_at(20.0, "pitch", T)
+    s, (zero_hz, pole_hz) = 2j * np.pi * hz, (v["own_lead_zero_hz"], v["own_lead_pole_hz"])
+    analogue = (1.0 + s / (2.0 * np.pi * zero_hz)) / (1.0 + s / (2.0 * np.pi * pole_hz)) * slow.filter_response(hz)
+    assert slow.response(hz)[:, 0] == pytest.approx(v["own_k_p"] * analogue, rel=1e-9)
+    assert slow.state_space().response(hz)[:, 0, :] == pytest.approx(slow.response(hz), rel=1e-9)
     assert law.static_gain("angle_rad") == pytest.approx(v["own_k_p"], rel=1e-12)
 
 
@@ -134,6 +141,17 @@ def test_the_flown_law_is_the_linear_law(lead: tuple[Path, object, object], lead
     expected = signal.lfilter(tf.num[0][0], tf.den[0][0], law_deg)
     assert np.ptp(expected) > 0.1
     assert f["law_pitch_deg"][held] == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.long
+def test_the_margin_in_a_held_flight_is_that_of_the_linear_law(lead: tuple[Path, object, object]) -> None:
+    """The upper gain margin is measured in the simulator at 35 s, where the compensator is frozen with the gains."""
+    flown = load_scenario("nominal", [f'design="{lead[0]}"'])
+    (node,) = nodes_along(flown, [35.0])
+    found = certify_node(flown, node, bands=(), names=("gain_up",))
+    assert found.stable
+    assert found.unexplained == ()
+    assert abs(found.margins[0].difference) < 0.2
 
 
 @pytest.mark.parametrize("language", ["python", pytest.param("c", marks=needs_compiler)])

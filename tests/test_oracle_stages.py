@@ -23,7 +23,8 @@ from maxq.design.laws.design_file import design_text
 from maxq.design.model.node import at_same_propellant_s, node_of, nodes_along
 from maxq.design.model.node_times import node_times
 from maxq.design.model.powered import Span, flown_run, flown_to, powered_spans, spans_of
-from maxq.design.optimise.solve import each_stage, solve
+from maxq.design.optimise.pareto import aims_of, trade_off
+from maxq.design.optimise.solve import each_stage, nominal_plants, solve
 from maxq.design.verify.outcome import judge_solution, make_design
 from maxq.design.verify.suite import read_suite
 from maxq.sim.packing.flight import Packed
@@ -32,6 +33,7 @@ from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.engine.burn import stage_burns
 from maxq.tools import simdesign
 from maxq.tools.design import run_case
+from maxq.tools.design.trade import StageTrade, trade_table, write_trade
 
 
 @pytest.fixture(scope="module")
@@ -176,6 +178,32 @@ def test_a_case_is_a_case_of_each_stage(case, spans: tuple[Span, ...]) -> None:
     assert [loaded.case.times_s for loaded in each_stage(second)] == [found[1].times_s]
     with pytest.raises(ValueError, match=r"stages = \[9\]|stages = \[8\]"):
         each_stage(read_case(petrel.folder() / "two-nodes.toml", ["stages=[8]"]))
+
+
+@pytest.mark.long
+def test_the_trade_off_of_a_stage_keeps_the_others(case, tmp_path: Path) -> None:
+    """Every design of the curve of stage 2 has stage 1 as optimised, and the table is that of the points."""
+    one, two, _ = each_stage(case)
+    aims, plants = aims_of("peak,margin"), nominal_plants(two)
+    first, points = solve(one), trade_off(two, plants, aims, count=3)
+    trade = StageTrade(points, aims, 2, (first,))
+    files = write_trade(tmp_path, case, trade)
+    assert [file.relative_to(tmp_path).as_posix() for file in files] == [
+        *(f"pareto-stage-2-{n:02d}/design.toml" for n in range(1, len(points) + 1)),
+        "pareto-stage-2.json",
+    ]
+    record = json.loads(files[-1].read_text())
+    assert record["stage"] == 2
+    for file, point, kept in zip(files, points, record["points"], strict=False):
+        design = petrel.scenario(f'design="{file}"').design
+        assert design is not None
+        expected = make_design(case, point.solution, first)
+        for n in range(2):
+            mine, wanted = design.of_stage(n).gains.table, expected.of_stage(n).gains.table
+            assert all((mine[key] == wanted[key]).all() for key in ("time_s", "k_p", "k_d_s"))
+        least = min(margins(loop).modulus for loop in maxq.loops(point.solution.nodes, design))
+        assert kept["values"][1] == pytest.approx(least, rel=1e-4)
+    assert f"pareto{trade.suffix}-01" in "".join(trade_table(trade))
 
 
 @pytest.mark.slow

@@ -97,6 +97,9 @@ class DesignedLaw(Protocol):
         The law is discrete with the flight computer's period `sample_s`, or continuous if it is None.
         """
 
+    def continuous_at(self, at: float, plane: Plane, sample_s: float) -> Controller:
+        """Return the continuous form of the law that `at` returns for the flight computer's period `sample_s`."""
+
     def tables(self) -> dict[str, Any]:
         """Return the law's tables in a design file: keys such as `gains` and `filter`."""
 

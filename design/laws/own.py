@@ -33,14 +33,14 @@ from maxq.sim.scenario.schema_design import Design
 
 @dataclass(frozen=True)
 class Own:
-    """The law at one instant (`law.Controller`), discrete with the period `sample_s`.
+    """The law at one instant (`law.Controller`), discrete with the period `sample_s`, or continuous if it is None.
 
     `system` contains A to D as flown, `values` the variables by column, and `factor` a gain.
     """
 
     system: System
     values: Mapping[str, float]
-    sample_s: float
+    sample_s: float | None
     filter: AnyFilter = None
     blend: tuple[float, ...] = (1.0,)
     loops: tuple[AnyFilter, ...] = (None, None, None)
@@ -60,28 +60,36 @@ class Own:
         return self.values if self.factor == 1.0 else {**self.values, "factor": self.factor}
 
     def check(self, sample_s: float | None) -> None:
-        if sample_s is None or abs(self.sample_s / sample_s - 1.0) > 1e-9:
+        own = self.sample_s
+        same = own == sample_s if own is None or sample_s is None else abs(own / sample_s - 1.0) <= 1e-9
+        if not same:
             raise ValueError(f"law own of sample_s = {self.sample_s}: the loop's period is {sample_s}")
         for each in (self.filter, *self.loops):
             check_period(each, sample_s)
 
     def response(self, frequencies_hz: ArrayLike) -> ComplexArray:
         f = np.asarray(frequencies_hz)
-        angle, rate = np.moveaxis(-self.factor * _at(self.system, np.exp(2j * np.pi * f * self.sample_s)), -1, 0)
+        angle, rate = np.moveaxis(-self.factor * _at(self.system, self._axis(f)), -1, 0)
         attitude, turning = (on_axis(each, f) for each in self.loops[:2])
         found = [angle * attitude, *(weight * rate * turning for weight in self._weights.values())]
         return np.asarray(self.filter_response(f)[..., None] * np.stack(found, axis=-1))
+
+    def _axis(self, frequencies_hz: Array) -> ComplexArray:
+        """Return s, or z of a discrete law, at frequencies in Hz."""
+        s = 2j * np.pi * frequencies_hz
+        return np.asarray(s if self.sample_s is None else np.exp(s * self.sample_s))
 
     def filter_response(self, frequencies_hz: ArrayLike) -> ComplexArray:
         return on_axis(self.filter, np.asarray(frequencies_hz))
 
     def static_gain(self, name: str) -> float:
-        angle, rate = (-self.factor * _at(self.system, np.ones(1, np.complex128)).real)[0]
+        angle, rate = (-self.factor * _at(self.system, self._axis(np.zeros(1))).real)[0]
         return float(angle) if name == "angle_rad" else float(rate) * self._weights.get(name, 0.0)
 
     def poles(self) -> ComplexArray:
-        z = np.linalg.eigvals(self.system[0]).astype(np.complex128)
-        own = np.log(z[np.abs(z) > 1e-6]) / self.sample_s  # others act as pure delays
+        own = np.linalg.eigvals(self.system[0]).astype(np.complex128)
+        if self.sample_s is not None:
+            own = np.log(own[np.abs(own) > 1e-6]) / self.sample_s  # others act as pure delays
         return np.concatenate([own, *(filter_poles(each) for each in (self.filter, *self.loops[:2]))])
 
     def state_space(self) -> StateSpace:
@@ -103,6 +111,14 @@ class Own:
 
     def scaled(self, factor: float) -> Own:
         return replace(self, factor=factor * self.factor)
+
+
+def bilinear(system: System, sample_s: float) -> System:
+    """Return A to D of a discrete law in continuous time, with z = (1 + s T / 2) / (1 - s T / 2)."""
+    a, b, c, d = system
+    one, h = np.eye(len(a)), 2.0 / sample_s
+    q = np.linalg.inv(one + a)
+    return h * q @ (a - one), np.sqrt(2.0 * h) * q @ b, np.sqrt(2.0 * h) * c @ q, d - c @ q @ b
 
 
 def _at(system: System, z: ComplexArray) -> ComplexArray:
@@ -129,12 +145,17 @@ class OwnDesign(PdDesign):
 
     def at(self, at: float, plane: Plane, sample_s: float | None) -> Own:  # type: ignore[override]  # another controller
         if sample_s is None:
-            raise ValueError("the law own has no continuous form; allowed is the sampled loop")
+            raise ValueError("the law own has no continuous form without a period; allowed is continuous_at")
         assert self.code is not None
         values = self.gains_at(at, plane)
         filter_, blend, loops = self.parts_at(at, plane, sample_s)
         system = self.code.system(np.array(list(values.values())), sample_s)
         return Own(system, values, sample_s, filter_, blend, loops)
+
+    def continuous_at(self, at: float, plane: Plane, sample_s: float) -> Own:  # type: ignore[override]  # as above
+        """Return the law mapped to continuous time by the bilinear transform."""
+        law, (filter_, _, loops) = self.at(at, plane, sample_s), self.parts_at(at, plane, None)
+        return replace(law, system=bilinear(law.system, sample_s), sample_s=None, filter=filter_, loops=loops)
 
     def tables(self) -> dict[str, Any]:
         kept = {key: getattr(self.plug_in, key) for key in ("file", "sha256", "member", "files")}

@@ -236,6 +236,10 @@ class PdDesign:
         filter_, blend, loops = self.parts_at(at, plane, sample_s)
         return Pd(**self.gains_at(at, plane), filter=filter_, blend=blend, lag=lag, loops=loops)
 
+    def continuous_at(self, at: float, plane: Plane, sample_s: float) -> Pd:
+        del sample_s  # filters are stored in continuous form
+        return self.at(at, plane, None)
+
     def tables(self) -> dict[str, Any]:
         def rows(schedule: GainSchedule) -> tuple[dict[str, float], ...]:
             columns = [[float(x) for x in column] for column in schedule.table.values()]

@@ -196,7 +196,8 @@ def law_at(design: Design, node: OperatingPoint, kind: LoopKind = "sampled") -> 
     The law is sampled for `kind` "sampled" and continuous otherwise.
     """
     law = designed_law(design.of_stage(node.stage))
-    return law.at(node.scheduled(law.over), node.plane, node.instruments.sample_s if kind == "sampled" else None)
+    form = law.at if kind == "sampled" else law.continuous_at
+    return form(node.scheduled(law.over), node.plane, node.instruments.sample_s)
 
 
 def close_loop(path: FixedPath, design: Design) -> Loop:

@@ -30,7 +30,7 @@ from maxq.design.laws.schedule import UnsolvableError
 from maxq.design.model.instruments import Plane
 from maxq.design.model.node import Node
 from maxq.design.model.powered import loss_text
-from maxq.design.optimise.pareto import Aim, TradePoint, aims_of, check_aims, trade_off
+from maxq.design.optimise.pareto import Aim, aims_of, check_aims, trade_off
 from maxq.design.optimise.plants import Plants
 from maxq.design.optimise.search import SearchProgress as Watch
 from maxq.design.optimise.solution import Solution
@@ -62,7 +62,7 @@ from maxq.tools.design.report import (
     wind_table,
     write_record,
 )
-from maxq.tools.design.trade import trade_sheets, trade_table, write_trade
+from maxq.tools.design.trade import StageTrade, trade_sheets, trade_table, write_trade
 from maxq.tools.design.way_out import trials_text, way_out_table
 
 RECORD_NAME, PAGE_NAME = "design.json", "design.html"
@@ -134,7 +134,7 @@ def make(
         except (UnsolvableError, ValueError) as error:
             raise ScenarioError(loaded.label, str(error)) from None
         untraced = ""
-        solved, trade, interrupted = list[FoundDesigns](), tuple[TradePoint, ...](), made.interrupted
+        solved, trades, interrupted = list[FoundDesigns](), list[StageTrade](), made.interrupted
         if trials and not interrupted:
             made, interrupted = _with_trials(made, progress, stop)
         try:
@@ -144,21 +144,20 @@ def make(
                 watch = lambda n, of, at=about: progress.show(f"{at}: orders", n, of)  # noqa: E731  # short
                 solved.append(solve_orders(order_cases(stage), mine, watch))
             if aims is not None and not interrupted:
-                laws = [solution.law for _, solution in made.results]
-                tracing = partial(progress.show, "tracing the trade-off")
-                trade = trade_off(made.stages[0], made.plants[0], aims, laws, tracing)
+                for k in range(len(made.results)):
+                    trades.append(_traced(made, k, aims, progress))
         except KeyboardInterrupt:  # the design itself is complete
-            solved, trade, interrupted = [], (), True
+            solved, trades, interrupted = [], [], True
         except ValueError as error:
             untraced = str(error)  # the design itself is complete
         results = made.results
         with Interruption() as interruption:  # write the result even if Ctrl-C is pressed now
             forget_pictures(folder)
             files, verdict, written = _write(folder, made, solved), _verdict(made, folder), list[Path]()
-            if aims is not None and trade:
-                files += write_trade(folder, loaded, trade, aims)
+            for trade in trades:
+                files += write_trade(folder, loaded, trade)
                 if page:
-                    sheets = trade_sheets(trade, aims, f"Trade-off: {loaded.name}")
+                    sheets = trade_sheets(trade, f"Trade-off: {loaded.name}")
                     from maxq.tools.design import pictures  # noqa: PLC0415  # lazy: Matplotlib
 
                     files += pictures.draw_all(sheets, folder, progress.show)
@@ -177,8 +176,8 @@ def make(
         tell(case_report(outcome, solution))
         if found is not None:
             tell("\n" + "\n".join(orders_table(found)))
-    if aims is not None and trade:
-        tell("\n" + "\n".join(trade_table(trade, aims)))
+    for trade in trades:
+        tell("\n" + "\n".join(trade_table(trade)))
     if untraced:
         tell("", f"no trade-off: {untraced}")
     tell("\nflights", *(f"  {one.text}" for one in made.rounds))
@@ -191,12 +190,20 @@ def make(
 
 
 def _aims(pareto: str, loaded: LoadedCase) -> tuple[Aim, Aim]:
-    """Return the objectives of --pareto. Raises ValueError for others, and for a case with several stages."""
-    aims, stages = aims_of(pareto), each_stage(loaded)
+    """Return the objectives of --pareto. Raises ValueError for others, and for a case without wind for the load."""
+    aims = aims_of(pareto)
     check_aims(loaded.case, aims)
-    if len(stages) > 1 or len(loaded.scenario.vehicle.stage) > 1:
-        raise ValueError("--pareto: the vehicle has several stages; allowed is a vehicle with one stage")
     return aims
+
+
+def _traced(made: CaseDesign, k: int, aims: tuple[Aim, Aim], progress: Progress) -> StageTrade:
+    """Return the trade-off of the stage at index `k` of a design. Raises ValueError as `trade_off` does."""
+    vehicle, solutions = made.stages[k].scenario.vehicle, [solution for _, solution in made.results]
+    number = _number(made.results[k][0])
+    about = " of ".join(filter(None, ("tracing the trade-off", stage_name(vehicle, number))))
+    points = trade_off(made.stages[k], made.plants[k], aims, [solutions[k].law], partial(progress.show, about))
+    several = len(vehicle.stage) > 1
+    return StageTrade(points, aims, number + 1 if several else None, (*solutions[:k], *solutions[k + 1 :]))
 
 
 def _with_trials(made: CaseDesign, progress: Progress, stop: Interruption) -> tuple[CaseDesign, bool]:
