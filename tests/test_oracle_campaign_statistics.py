@@ -257,6 +257,16 @@ def test_pareto_fits_are_scipys(shape: float) -> None:
     assert (found, scale) == pytest.approx((theirs, their_scale), rel=2e-3, abs=2e-3)
 
 
+def test_values_expected_beyond_a_threshold_are_quantiles_of_the_fit() -> None:
+    found = tail_of(stats.expon.rvs(size=1000, random_state=3), 12.0, 0.9973, 0.9)
+    count = len(found.excesses)
+    assert found.problem == ""
+    assert count > 20
+    ranks = (np.arange(count) + 0.5) / count
+    ours = found.threshold + stats.genpareto.ppf(ranks, found.shape, scale=found.scale)
+    np.testing.assert_allclose(found.expected, ours, rtol=1e-9)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "law", [stats.expon, *(pytest.param(law, marks=pytest.mark.long) for law in (stats.norm, stats.gumbel_r))]

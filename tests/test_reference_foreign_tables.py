@@ -85,6 +85,8 @@ def test_a_rasp_motor_is_a_table_of_thrust() -> None:
         (MOTOR.replace(" 400.0 520.0 Maker", ""), "is not the header of a RASP file"),
         (MOTOR.replace("2.0 50000.0", "2.0 fifty"), "is not a time and a thrust"),
         ("; nothing\n", "the file is empty"),
+        (MOTOR.replace("2.0 50000.0", "2.0 1e300"), "holds a number that is not finite, or too large"),
+        (MOTOR.replace(" 400.0 520.0", " nan 520.0"), "holds a number that is not finite, or too large"),
     ],
 )
 def test_broken_motors_are_refused(text: str, says: str) -> None:

@@ -95,6 +95,15 @@ def test_a_file_that_holds_no_modes_is_refused(spoil, problem: str, tmp_path: Pa
     assert re.search(problem, str(refused.value.context["problem"]))
 
 
+def test_numbers_that_overflow_are_refused_without_a_warning_of_numpy(tmp_path: Path) -> None:
+    shutil.copy(DATA / "beam.bdf", tmp_path)
+    text = (DATA / "beam.f06").read_text()
+    (tmp_path / "beam.f06").write_text(text.replace("1.000000E+00", "1.0000E+200", 1))
+    assert "1.000000E+00" in text
+    with pytest.raises(PydanticCustomError, match="holds a number that is not finite, or too large"):
+        read_nastran(tmp_path / "beam.f06")
+
+
 def test_positions_may_stand_in_a_file_beside(tmp_path: Path) -> None:
     data = (DATA / "beam.op2").read_bytes().replace(b"   GEOM1", b"   GEOMX")
     (tmp_path / "beam.op2").write_bytes(data)

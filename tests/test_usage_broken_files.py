@@ -154,6 +154,12 @@ _COMMANDS = [
     (simrun, ["ascent.toml", "--set", f"run.seed={2**64}"], f"run.seed = {2**64}: is out of range"),
     (simrun, ["ascent.toml", "--set", f"run.seed={_LONG}"], 'run.seed = "999'),
     (simrun, ["ascent.toml", "--set", f"vehicle.stage.{_LONG}.name=x"], "is not an element of this list"),
+    (
+        simrun,
+        ["ascent.toml", "--set", f"{'a.' * 5000}a=1"],
+        "a.a.a.: is not the path of a key; allowed: --set KEY=VALUE",
+    ),
+    (simrun, ["ascent.toml", "--set", f"run.seed={'[' * 400}{']' * 400}"], 'run.seed = "[[[[['),
     (simdesign, ["case.toml", "--seed", str(2**64)], f"search.seed = {2**64}: is out of range"),
     (simdesign, ["case.toml", "--seed", _LONG], "--seed: "),
     (

@@ -81,7 +81,7 @@ def test_the_traceback_is_shown_on_request(capsys: Printed, monkeypatch: pytest.
     assert capsys.readouterr().err.startswith("Traceback (most recent call last):")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_the_first_signal_is_a_request_the_second_interrupts(number: signal.Signals) -> None:
     before = signal.getsignal(number)
     with Interruption() as interruption:
@@ -106,3 +106,48 @@ def test_progress_is_silent_without_a_terminal_unless_lines_are_wanted(capsys: P
         quiet.show("flying", 1, 2)
         lines.show("flying", 1, 2, "12 left")
     assert capsys.readouterr().err == "flying: 1 of 2; 12 left\n"
+
+
+def _ended_by(number: signal.Signals, ignored: bool) -> tuple[int, str]:
+    """Return the exit code and the output of a forked command that receives a signal after its terminal has closed."""
+    controller, terminal = os.openpty()
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.setsid()
+        os.dup2(terminal, 1)
+        os.dup2(write, 2)
+        for stream in (controller, terminal, read, write):
+            os.close(stream)
+        signal.signal(number, signal.SIG_IGN if ignored else signal.SIG_DFL)
+        sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115  # to the end
+
+        def body() -> int:
+            with Interruption() as stop:
+                signal.raise_signal(number)
+                print("a summary", flush=True)  # fails on a closed terminal
+            return 130 if stop.requested else 0
+
+        frame.process(lambda: frame.run("sim", body, "stopped"))
+    for stream in (terminal, controller, write):
+        os.close(stream)
+    with open(read) as said:
+        text = said.read()
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), text
+
+
+def test_a_closed_terminal_ends_a_command_in_an_orderly_way_unless_it_is_ignored() -> None:
+    """SIGHUP ends a command as Ctrl-C does. With `nohup`, which ignores it, the command runs on."""
+    assert _ended_by(signal.SIGHUP, ignored=False) == (130, "")
+    code, said = _ended_by(signal.SIGHUP, ignored=True)
+    assert (code, said.strip()) == (2, "sim: a file: input/output error")  # no terminal, and no file in its place
+
+
+def test_a_job_of_the_shell_ignores_ctrl_c() -> None:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with Interruption() as interruption:
+            signal.raise_signal(signal.SIGINT)
+            assert not interruption.requested
+    finally:
+        signal.signal(signal.SIGINT, before)

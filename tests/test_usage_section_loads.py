@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import astuple
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import campaignkit
@@ -19,7 +20,7 @@ from maxq.sim.flight.metric_table import METRICS, SectionMetrics
 from maxq.sim.run.fly import fly, logged_channels
 from maxq.sim.scenario.loader import load_scenario
 from maxq.sim.vehicle.loads.columns import KINDS
-from maxq.sim.vehicle.loads.section import BORNE
+from maxq.sim.vehicle.loads.section import BORNE, _mass_over_time
 from maxq.sim.vehicle.state import Sizes
 
 PARTS = Parts(core_inertia=((700.0, 0.0, 0.0), (0.0, 6.4e4, 0.0), (0.0, 0.0, 6.4e4)))
@@ -202,3 +203,12 @@ def test_extremes_are_those_of_the_log(flights: tuple[Flight, ...]) -> None:
     assert flight.metrics["max_section_bending_moment_station_m"] == largest.station_m
     assert 0.0 < flight.metrics["max_section_load_ratio"] < 1.0
     assert 0.0 < flight.metrics["max_section_mass_mismatch"] < 0.01
+
+
+def test_the_mass_of_a_stage_without_a_table_falls_by_its_flow() -> None:
+    given: Any = {"table": None, "mass_kg": 100.0, "x_cg_m": 3.0, "mass_flow_kgps": 2.0, "burn_s": 10.0}
+    times, (mass, station, pitch, yaw) = _mass_over_time(
+        SimpleNamespace(**given, inertia_kgm2=[[1.0, 0.0, 0.0], [0.0, 50.0, 0.0], [0.0, 0.0, 60.0]])  # type: ignore[arg-type]
+    )
+    assert (times.tolist(), mass.tolist(), station.tolist()) == ([0.0, 10.0], [100.0, 80.0], [3.0, 3.0])
+    assert (pitch.tolist(), yaw.tolist()) == ([50.0, 50.0], [60.0, 60.0])

@@ -121,6 +121,11 @@ def test_csv_of_components_over_pressure_alone(tmp_path: Path) -> None:
     assert got[2][0] == pytest.approx(geometric(20000.0), abs=0.5)
 
 
+def test_pressures_that_no_air_has_count_as_missing(tmp_path: Path) -> None:
+    text = "pressure_hPa,u_m/s,v_m/s\n54.7489,30,-4\n2.26e300,20,3\n1013.25,5,0\n"
+    assert [row[1] for row in profile(tmp_path, text, "model.csv")] == pytest.approx([5.0, math.hypot(30.0, 4.0)])
+
+
 def test_pressure_altitude_is_the_inverse_of_the_standard() -> None:
     published = np.array([101325.0, 54048.0, 26500.0, 12112.0, 2549.2, 287.14])  # table I: 0, 5, 10, 15, 25, 40 km
     assert pressure_altitude(published) == pytest.approx([0.0, 5e3, 10e3, 15e3, 25e3, 40e3], abs=1.0)

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import io
+import os
 import struct
 import zlib
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -21,6 +24,7 @@ from scenario_files import write_ascent
 
 import maxq
 from maxq import CampaignError, LogError, ScenarioError
+from maxq.design.verify import ledger
 from maxq.sim.campaign import store
 from maxq.sim.files import plain_name
 from maxq.sim.log import reader
@@ -28,6 +32,9 @@ from maxq.sim.log.head import Attachment, RunHead
 from maxq.sim.log.writer import LogWriter
 from maxq.sim.scenario.loader import load_scenario, load_scenario_text
 from maxq.tools import simrun
+from maxq.tools.cli.frame import CommandError
+from maxq.tools.replay import flight
+from maxq.tools.verify import check
 
 
 def chunk(content: bytes, compression: str, packed: bytes, says: int | None = None) -> bytes:
@@ -167,6 +174,18 @@ def test_a_log_replaces_a_symbolic_link_and_not_the_file_behind_it(tmp_path: Pat
     assert maxq.read(path).complete
 
 
+@pytest.mark.skipif(os.name == "nt", reason="no locks")
+def test_a_log_that_is_being_written_is_not_written_by_a_second_flight(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    first = LogWriter(path, TABLE, RunHead({"scenario": "first"}))
+    with pytest.raises(LogError, match=r"flight\.mcap: another flight is writing this log; wait for it, or give"):
+        LogWriter(path, TABLE, RunHead({"scenario": "second"}))
+    first.close()
+    assert maxq.read(path).metadata["scenario"] == "first"
+    LogWriter(path, TABLE, RunHead({"scenario": "third"})).close()
+    assert maxq.read(path).metadata["scenario"] == "third"
+
+
 # a log's own scenario
 
 
@@ -243,3 +262,20 @@ def test_attachments_are_never_unpacked(tmp_path: Path) -> None:
 )
 def test_names_make_one_folder(name: str, folder: str) -> None:
     assert plain_name(name, "else") == folder
+
+
+def test_json_that_is_nested_without_end_is_refused_or_ignored(tmp_path: Path) -> None:
+    """The files of others: of a campaign, next to a log, of a ledger, and of a review pack."""
+    deep = "[" * 100_000
+    for text in (deep, "[]"):
+        (tmp_path / "campaign.json").write_text(text)
+        with pytest.raises(CampaignError, match=r"campaign\.json: is damaged; remove it and the runs"):
+            store.read_manifest(tmp_path)
+    (tmp_path / "summary.json").write_text(deep)
+    log: Any = SimpleNamespace(path=tmp_path / "flight.mcap", end={})
+    assert flight._summary(log) == {}
+    (tmp_path / "attempts.jsonl").write_text(deep + "\n")
+    assert ledger.read_lines(tmp_path / "attempts.jsonl") == ([], ("line 1 is no line of a ledger",))
+    (tmp_path / "verdict.json").write_text(deep)
+    with pytest.raises(CommandError, match=r"verdict\.json: is not JSON: "):
+        check.execute(str(tmp_path))

@@ -83,7 +83,7 @@ def read_lines(path: Path) -> tuple[list[Line], tuple[str, ...]]:
         try:
             line = json.loads(row)
             whole, follows = line["hash"] == _hash(line), line["previous"] == previous
-        except (ValueError, LookupError, TypeError, AttributeError):
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
             damage.append(f"line {number} is no line of a ledger")
             continue
         if not follows:

@@ -345,8 +345,10 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise CampaignError(f"{folder}: holds no campaign ({MANIFEST} is missing)") from None
     except OSError as error:
         raise CampaignError(f"{path}: cannot be read: {reason(error)}") from None
-    except ValueError:
-        raise CampaignError(f"{path}: is damaged; remove it and the runs in the same folder") from None
+    except (ValueError, RecursionError):
+        content = {}
+    if not (isinstance(content, dict) and content):
+        raise CampaignError(f"{path}: is damaged; remove it and the runs in the same folder")
     if content.get("layout") != LAYOUT:
         raise CampaignError(f"{path}: has layout {content.get('layout')}, this maxq knows {LAYOUT}")
     return content

@@ -258,6 +258,7 @@ def source_of(tree: TomlTable, path: KeyPath) -> Source:
     return source
 
 
+_MOST_PARTS = 50  # of a path; the deepest key has a tenth of them
 Override = tuple[KeyPath, Any]
 """The path and value of one override, as in TOML; None removes the key."""
 
@@ -272,14 +273,22 @@ def parse_override(text: str) -> Override:
     path = tuple(part.strip() for part in left.split("."))
     if not equals:
         raise ScenarioError(COMMAND_LINE, "has no '='", text, allowed=_USAGE)
-    if not all(path):
-        raise ScenarioError(COMMAND_LINE, "is not the path of a key", left or '""', allowed=_USAGE)
+    if not all(path) or len(path) > _MOST_PARTS:
+        raise ScenarioError(COMMAND_LINE, "is not the path of a key", left[:200] or '""', allowed=_USAGE)
     right = right.strip()
     try:
         document = tomllib.loads(f"value = {right}")
     except (ValueError, RecursionError):
         return path, right or None
-    return path, document["value"] if list(document) == ["value"] else right
+    return path, document["value"] if list(document) == ["value"] and not _is_deeper(document, _MOST_PARTS) else right
+
+
+def _is_deeper(value: Any, levels: int) -> bool:
+    """Return True if tables and lists are nested in more levels, which no key needs."""
+    if not isinstance(value, dict | list):
+        return False
+    items = value.values() if isinstance(value, dict) else value
+    return levels == 0 or any(_is_deeper(item, levels - 1) for item in items)
 
 
 def apply(overrides: Iterable[Override], tree: TomlTable, source: Source) -> None:

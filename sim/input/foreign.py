@@ -21,10 +21,12 @@ from __future__ import annotations
 import re
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from maxq.sim.input.documents import Text
 from maxq.sim.input.errors import refuse
 from maxq.sim.input.files import Reading
+from maxq.sim.input.ranges import range_of
 from maxq.sim.input.tables_csv import Columns, CsvTable, Foreign
 from maxq.sim.input.xml_tree import XmlError, xml_tree
 
@@ -92,12 +94,20 @@ def _thrust(
     points: list[tuple[float, float]], propellant_kg: float, name: str, shown: str, lines: tuple[int, ...]
 ) -> CsvTable:
     """Return the table of a thrust curve, with a mass flow in proportion to the thrust."""
+    refuse_extreme(shown, points, propellant_kg)
     times, thrust_N = np.array(points).T
     impulse = float(np.trapezoid(thrust_N, times))
     if not impulse > 0.0:
         raise refuse("has no impulse", "thrust above 0", file=shown)
     flow = thrust_N * propellant_kg / impulse
     return _table(name, shown, lines, time_s=times, thrust_vacuum_N=thrust_N, mass_flow_kgps=flow)
+
+
+def refuse_extreme(shown: str, *values: ArrayLike) -> None:
+    """Raise the refusal of the schema if a number of a file is not finite, or too large to be computed with."""
+    if not all((np.abs(np.asarray(each, float)) <= range_of("").most).all() for each in values):
+        allowed = f"finite numbers of magnitudes up to {range_of('').most:g}"
+        raise refuse("holds a number that is not finite, or too large", allowed, file=shown)
 
 
 def read_drag_curve(text: str, name: str, shown: str) -> CsvTable | None:

@@ -8,6 +8,7 @@ with # are skipped. In a TOML file the same table is `{time_s = [0.0, 1.0], mass
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -386,11 +387,14 @@ class _Lines(NamedTuple):
     wrong: tuple[tuple[int, tuple[str, ...]], ...]
 
 
+_MOST_KEPT = 4_000_000  # letters of a text in the cache, which keeps its numbers, too
+
+
 @lru_cache(maxsize=128)
 def _lines_of(text: str) -> _Lines:
     """Return the lines of a text, from a cache, because a suite reads the same tables for each of its flights."""
     header, header_line = tuple[str, ...](), 0
-    lines, rows, wrong = list[int](), list[list[float]](), list[tuple[int, tuple[str, ...]]]()
+    lines, rows, wrong = list[int](), array("d"), list[tuple[int, tuple[str, ...]]]()  # 8 bytes for a number
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
@@ -403,17 +407,17 @@ def _lines_of(text: str) -> _Lines:
         except ValueError:
             row = []
         if len(row) == len(header):
-            rows.append(row)
+            rows.extend(row)
             lines.append(number)
         else:
             wrong.append((number, tuple(cells)))
-    numbers = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
+    numbers = np.array(rows, dtype=np.float64).reshape(len(lines), len(header))
     return _Lines(header, header_line, tuple(lines), numbers, tuple(wrong))
 
 
 def read_csv(text: str, name: str, shown: str, columns: Columns) -> CsvTable:
     """Return the table in the `text` of the CSV file `name`, called `shown` in messages."""
-    found = _lines_of(text)
+    found = _lines_of(text) if len(text) < _MOST_KEPT else _lines_of.__wrapped__(text)
     if not found.header:
         raise refuse("the file is empty", f"CSV with {columns.allowed()}", file=shown)
     _check_header(list(found.header), shown, found.header_line, columns)

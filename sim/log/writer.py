@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import io
 import os
+import stat
 import struct
+import sys
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -31,6 +33,9 @@ from maxq.sim.flight.channels import EVENTS_TOPIC, FRAMES_TOPIC, ChannelTable
 from maxq.sim.log import head as keys
 from maxq.sim.log import messages as m
 from maxq.sim.log.head import LogError, RunHead, maxq_version
+
+if sys.platform != "win32":
+    import fcntl
 
 _LEVEL = 1  # zstd level; for noisy numbers, higher levels take more time and save little space
 _SUMMARY_ORDER = (
@@ -201,7 +206,27 @@ def encode(*records: mcap_records.McapRecord) -> bytes:
 
 
 def _opened(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+    """Open a file for writing, lock it until it is closed, and empty it. Raises LogError if another writer has it."""
+    handle = os.open(path, flags & ~os.O_TRUNC | getattr(os, "O_NOFOLLOW", 0), 0o666)
+    try:
+        if stat.S_ISREG(os.fstat(handle).st_mode):
+            if not _lock(handle):
+                raise LogError(f"{path}: another flight is writing this log; wait for it, or give another --out")
+            os.ftruncate(handle, 0)
+    except BaseException:
+        os.close(handle)
+        raise
+    return handle
+
+
+def _lock(handle: int) -> bool:
+    """Lock a file, and return False if another writer has locked it. Not every file system has locks."""
+    if sys.platform != "win32":
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            return not isinstance(error, BlockingIOError)
+    return True
 
 
 class Container:
@@ -315,6 +340,9 @@ class Container:
 
     def close(self) -> None:
         self.usable = False
+        if sys.platform != "win32" and not self._file.closed:  # else a forked process would keep the lock
+            with suppress(OSError):
+                fcntl.flock(self._file.fileno(), fcntl.LOCK_UN)
         self._file.close()
 
     def _write(self, data: bytes) -> None:

@@ -84,7 +84,8 @@ _SMALLEST = 1 << 24  # least shared memory of a worker, bytes; the unused part t
 IMPORT_S = 30.0  # additional time limit for the start of Python code, which each process imports
 _SOCKET_S = 5.0  # additional time limit for a socket, which has a separate time limit
 _POLL_S = 0.05
-_IGNORED = (signal.SIGINT, signal.SIGTERM, *(getattr(signal, s) for s in ("SIGTTIN", "SIGTTOU") if hasattr(signal, s)))
+_MORE_IGNORED = ("SIGHUP", "SIGTTIN", "SIGTTOU")
+_IGNORED = (signal.SIGINT, signal.SIGTERM, *(getattr(signal, s) for s in _MORE_IGNORED if hasattr(signal, s)))
 """The signals that the parent process handles, or that stop a process in the background."""
 _FORK = threading.RLock()  # reentrant, because a garbage collection may release a worker while the lock is held
 _idle: list[Worker] = []

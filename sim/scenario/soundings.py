@@ -30,6 +30,7 @@ from maxq.sim.input.files import Reading
 from maxq.sim.input.tables_csv import DATE, Columns, CsvTable, Foreign, read_csv
 
 _RADIUS_m = 6356766.0  # Earth radius of geopotential heights, as in the standard atmosphere
+_MOST_hPa = 2000.0
 NUMBER_MARK = "#"  # "station.txt#12": the twelfth sounding of a file
 
 
@@ -225,10 +226,10 @@ def _from_pressure(altitude_m: np.ndarray, pressure_hPa: np.ndarray) -> np.ndarr
     """Return the geometric altitude (levels,), m, for each pressure.
 
     The altitude is interpolated in ln p between the levels with altitude and pressure. With fewer than two such levels,
-    it is that of the standard atmosphere.
+    it is that of the standard atmosphere. Pressures that no air on Earth has count as missing.
     """
-    both = np.isfinite(altitude_m) & (pressure_hPa > 0.0)
-    pressed = np.where(pressure_hPa > 0.0, pressure_hPa, math.nan)
+    real = (pressure_hPa > 0.0) & (pressure_hPa < _MOST_hPa)
+    both, pressed = np.isfinite(altitude_m) & real, np.where(real, pressure_hPa, math.nan)
     if both.sum() < 2:
         from maxq.sim.world.atmosphere import pressure_altitude  # noqa: PLC0415  # lazy: it imports the compiler
 

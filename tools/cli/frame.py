@@ -9,6 +9,7 @@ import contextlib
 import gc
 import os
 import signal
+import stat
 import sys
 import threading
 import warnings
@@ -30,6 +31,8 @@ TRACEBACK = "MAXQ_TRACEBACK"
 GRACE_S = 3.0
 """The time within which an interrupted command must end in an orderly way before it is ended."""
 _POLL_S = 0.2
+_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""The signals that interrupt a command: of Ctrl-C, of batch systems, and of a terminal that is closed."""
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # options of glibc's malloc.h, in bytes
 
 
@@ -41,7 +44,7 @@ class Exit(IntEnum):
     BAD_INPUT = 2  # wrong arguments or files, or files that cannot be read or written
     UNDECIDED = 3  # more runs are needed
     INTERNAL_ERROR = 70  # a fault in maxq (EX_SOFTWARE of sysexits.h)
-    INTERRUPTED = 130  # Ctrl-C or SIGTERM
+    INTERRUPTED = 130  # Ctrl-C, SIGTERM or SIGHUP
     UNREAD = 141  # the reader of the output, such as `head`, has closed it (as the shell reports SIGPIPE)
 
 
@@ -131,8 +134,8 @@ def _description(path: Path) -> str:
 
 
 class Interruption:
-    """A context manager for Ctrl-C and SIGTERM, so that files can be closed. Batch systems send SIGTERM before they
-    kill.
+    """A context manager for Ctrl-C, SIGTERM and SIGHUP, so that files can be closed. Batch systems send SIGTERM before
+    they kill, and a terminal sends SIGHUP when it is closed.
 
     Within the block, the first signal only sets `requested`, which a call of the object also returns. The second signal
     raises KeyboardInterrupt.
@@ -152,7 +155,7 @@ class Interruption:
 
     def __enter__(self) -> Self:
         with contextlib.suppress(ValueError):  # not the main thread
-            self._before = {number: signal.signal(number, self._strike) for number in (signal.SIGINT, signal.SIGTERM)}
+            self._before = _handled(self._strike)
         if self._last_resort is not None:  # started here, because a signal handler may interrupt a thread's start
             threading.Thread(target=self._limit, args=(self._last_resort,), daemon=True).start()
         return self
@@ -171,6 +174,7 @@ class Interruption:
             raise KeyboardInterrupt
 
     def _strike(self, number: int, frame: FrameType | None) -> None:
+        _leave_terminal(number)
         if self._at_once or self.requested:
             self.requested = True
             raise KeyboardInterrupt
@@ -223,15 +227,37 @@ def process(main: Callable[[], int]) -> NoReturn:
     _keep_freed_memory()
 
     def interrupt(number: int, frame: FrameType | None) -> NoReturn:
+        _leave_terminal(number)
         raise KeyboardInterrupt
 
-    signal.signal(signal.SIGTERM, interrupt)  # like Ctrl-C, so that every `finally` runs
+    _handled(interrupt)  # like Ctrl-C, so that every `finally` runs
     code = main()
     wipe()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):  # the reader has closed the output
             stream.flush()
     os._exit(code)
+
+
+def _handled(handler: Callable[[int, FrameType | None], Any]) -> dict[signal.Signals, Any]:
+    """Install a handler of the signals that interrupt a command, and return the earlier handlers.
+
+    A signal that is ignored stays ignored: SIGHUP by `nohup`, SIGINT by a shell in its background jobs. Raises
+    ValueError outside the main thread.
+    """
+    return {s: signal.signal(s, handler) for s in _SIGNALS if signal.getsignal(s) is not signal.SIG_IGN}
+
+
+def _leave_terminal(number: int) -> None:
+    """Replace streams of a terminal by the null device after SIGHUP, because writing to a closed terminal fails."""
+    if number != getattr(signal, "SIGHUP", None):
+        return
+    null = os.open(os.devnull, os.O_RDWR)
+    for stream in range(3):
+        with contextlib.suppress(OSError):  # a stream that is closed
+            if stat.S_ISCHR(os.fstat(stream).st_mode):
+                os.dup2(null, stream)
+    os.close(null)
 
 
 def _keep_freed_memory() -> None:

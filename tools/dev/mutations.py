@@ -5,13 +5,16 @@
     python -m maxq.tools.dev.mutations run --work DIR       # run the tests that reach each mutant until one fails
     python -m maxq.tools.dev.mutations table --work DIR     # write counts and survivors into docs/verification.md
 
+`run --concerned` needs no map: it uses the files of tests that import the module of a mutant, and a few that reach most
+modules. `plant --without-kernels` draws mutants that need no compilation.
+
 One copy of the tree contains all mutants, each with its original statement: `if at(7): changed else: original`. A file
 that all processes map into their memory selects the active mutant and records the mutants reached. Compiled kernels
 read this file too, so that no mutant requires a compilation. Each mutant is tested in a forked process with compiled
 kernels, as in `.ci/run`. Values computed on import are not affected by the fork and require a new pytest process.
 
-A mutant is killed by the first test that fails, or by a test that takes more than a minute and ten times its usual
-time. `--named` adds the faults of harness_mutants.py. Mutants in DIR/results.jsonl are not run again, except with
+A mutant is killed by the first test that fails, or by a test that takes more than five minutes and ten times its
+usual time. `--named` adds the faults of harness_mutants.py. Mutants in DIR/results.jsonl are not run again, except with
 `--only`. `map` and `run` use the present tests of the tree of this script.
 
 Documentation, annotations, imports, messages of exceptions, f-strings, decorators and tolerances (powers of ten below
@@ -41,13 +44,14 @@ import time
 import tokenize
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from _pytest.runner import runtestprotocol
 
+from maxq.control.kernel import kept_code
 from maxq.tools.dev.harness_mutants import NAMED
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -57,19 +61,13 @@ REASONS = Path(__file__).with_name("surviving_mutants.json")
 PACKAGES = {
     "control": ("control",),
     "sim/vehicle": ("sim/vehicle",),
-    "sim/flight": ("sim/flight",),
-    "design": (
-        "design/case",
-        "design/certificate",
-        "design/laws",
-        "design/loop",
-        "design/margins",
-        "design/model",
-        "design/optimise",
-        "design/paper",
-    ),
+    "sim/flight": ("sim/flight", "sim/world"),
+    "input to run": ("sim",),
+    "design": ("design",),
     "statistics": ("sim/campaign", "design/verify"),
+    "tools": ("tools", "api"),
 }
+"""The folders of each package. A module belongs to the longest folder that contains it, so that all are drawn."""
 OPERATORS: dict[type[ast.AST], tuple[str, tuple[str, ...]]] = {
     ast.Add: ("+", ("-",)),
     ast.Sub: ("-", ("+",)),
@@ -108,6 +106,9 @@ NAMES = {
     "cosh": "sinh",
 }
 FIRST = "tests/test_regression_nominal.py"  # the first of the tests that reach a mutant: the strongest for its time
+USUAL = {"test_regression_nominal.py", "test_usage_scenario_loading.py", "test_usage_python.py", "test_usage_simrun.py"}
+"""The files of tests that reach most modules which they do not import."""
+_LIMIT_S = 300.0  # beyond ten times the usual time of a test; the machine may be busy
 MOST = 511  # most mutants of a copy
 SWITCH = f'''
 """Which mutant holds, and which have been got to: eight bytes each, at one address in every process."""
@@ -239,15 +240,27 @@ def _other_number(value: float) -> tuple[str, ...]:
     return (repr(2.0 * value),) if value else ("1.0",)
 
 
-def drawn(number: int, seed: int) -> list[Mutant]:
+def modules_of_packages() -> dict[str, list[Path]]:
+    """Return all installed modules of maxq, by package."""
+    out: dict[str, list[Path]] = {package: [] for package in PACKAGES}
+    owner = {folder: package for package, folders in PACKAGES.items() for folder in folders}
+    for layer in ("api", "control", "design", "sim", "tools"):
+        for path in sorted((ROOT / layer).rglob("*.py")):
+            name = path.relative_to(ROOT).as_posix()
+            if not name.startswith(("tools/dev/", "tools/.ns/")):
+                out[owner[max((f for f in owner if name.startswith(f"{f}/")), key=len)]].append(path)
+    return out
+
+
+def drawn(number: int, seed: int, kernels: bool = True) -> list[Mutant]:
     """Return mutants in equal numbers from every package, with equal probabilities for sites and for their
-    replacements.
+    replacements. Without `kernels`, none are in the sources that determine machine code.
     """
-    chance, out = random.Random(seed), list[Mutant]()
-    for package, folders in PACKAGES.items():
-        files = sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
-        sites = [(path, site) for path in files for site in _sites(path.read_text())]
-        for path, (line, column, old, new) in chance.sample(sites, number // len(PACKAGES)):
+    compiled = set() if kernels else set(kept_code._source_files())
+    chance, out, modules = random.Random(seed), list[Mutant](), modules_of_packages()
+    for package, files in modules.items():
+        sites = [(path, site) for path in files if path not in compiled for site in _sites(path.read_text())]
+        for path, (line, column, old, new) in chance.sample(sites, min(number // len(modules), len(sites))):
             source = path.read_text().split("\n")[line - 1].strip()
             file = path.relative_to(ROOT).as_posix()
             out.append(Mutant(1 + len(out), package, file, line, column, old, chance.choice(new), source))
@@ -349,7 +362,7 @@ def planted(source: str, mutants: list[Mutant]) -> str:
         else:
             setattr(holder, way[-1], node)
     names = [i for i, n in enumerate(tree.body) if isinstance(n, ast.ImportFrom) and n.module == "__future__"]
-    switch = ast.ImportFrom("maxq.control.kernel.mutant", [ast.alias("at", "_mutant_at")], 0)
+    switch = ast.ImportFrom("maxq.tools.mutant", [ast.alias("at", "_mutant_at")], 0)
     tree.body.insert(names[-1] + 1 if names else 0, switch)
     return ast.unparse(ast.fix_missing_locations(tree)) + "\n"
 
@@ -370,7 +383,10 @@ def plant(work: Path, mutants: list[Mutant], refused: set[int]) -> None:
         path = tree / file
         here = [m for m in mutants if m.file == file and m.number not in refused]
         path.write_text(planted(path.read_text(), here))
-    (tree / "control/kernel/mutant.py").write_text(SWITCH)
+    (tree / "tools/mutant.py").write_text(SWITCH)  # no source of kernels, so that their hash remains
+    (work / "cache").mkdir(mode=0o700)
+    if not any((ROOT / m.file).resolve() in kept_code._source_files() for m in mutants):
+        shutil.copytree(kept_code._FOLDER, work / "cache" / Path(kept_code._FOLDER).name)  # compiles nothing again
     (work / "mutants.json").write_text(json.dumps([asdict(m) for m in mutants], indent=0))
 
 
@@ -383,8 +399,8 @@ Map = dict[str, tuple[float, list[int]]]
 class _Server:
     """A plugin of pytest that replaces its loop over the tests."""
 
-    def __init__(self, work: Path, mutants: list[Mutant], do: str, budget_s: float) -> None:
-        self.work, self.mutants, self.do, self.budget_s = work, mutants, do, budget_s
+    def __init__(self, work: Path, mutants: list[Mutant], do: str, budget_s: float, concerned: bool) -> None:
+        self.work, self.mutants, self.do, self.budget_s, self.concerned = work, mutants, do, budget_s, concerned
         self.flags = mmap.mmap(os.open(os.environ["MAXQ_MUTANTS"], os.O_RDWR), 8 * (MOST + 1))
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
@@ -392,19 +408,35 @@ class _Server:
             for _, group in itertools.groupby(session.items, key=lambda item: _file_of(item.nodeid)):
                 self._forked(partial(self._measure, list(group)), self.work / "map.jsonl")
             return True
-        known, items = read_map(self.work), {item.nodeid: item for item in session.items}
+        items = {item.nodeid: item for item in session.items}
+        known = self._assumed(items) if self.concerned else read_map(self.work)
         for mutant in self.mutants:
             names, began = _tests_for(mutant.number, known, self.budget_s), time.monotonic()
             tests = [items[name] for name in names if name in items]
             self.flags[:8] = struct.pack("<q", mutant.number)
             said = self._forked(partial(self._meet, tests, known)).splitlines() or ["nothing ran"]
             self.flags[:8] = bytes(8)
+            while self.concerned and len(said) > 1 and said[-2] in items and not self._passes(items[said[-2]]):
+                tests.remove(items.pop(said[-2]))  # it fails without a mutant, too
+                self.flags[:8] = struct.pack("<q", mutant.number)
+                said = self._forked(partial(self._meet, tests, known)).splitlines() or ["nothing ran"]
+                self.flags[:8] = bytes(8)
             answer = {"status": "killed", "how": f"{said[-1]}: the clock, or the process ended"}
             answer = json.loads(said[-1]) if said[-1].startswith("{") else answer
             row = {**asdict(mutant), **answer, "tests": len(tests), "seconds": round(time.monotonic() - began, 1)}
             with (self.work / "results.jsonl").open("a") as file:
                 file.write(json.dumps(row) + "\n")
         return True
+
+    def _assumed(self, items: dict[str, pytest.Item]) -> Map:
+        """Return a map in which a test reaches the mutants of the modules that its file imports, in a second."""
+        files = {m.number: set(concerned([m])) for m in self.mutants}
+        return {name: (1.0, [number for number, by in files.items() if _file_of(name) in by]) for name in items}
+
+    @cache  # noqa: B019  # the plugin exists once
+    def _passes(self, item: pytest.Item) -> bool:
+        """Return True if a test passes without a mutant."""
+        return '"survived"' in self._forked(partial(self._meet, [item], {item.nodeid: (1.0, [])}))
 
     def _forked(self, do: Any, path: Path | None = None) -> str:
         """Call `do` in a forked process with a file open for writing, and return the text of this file.
@@ -440,7 +472,7 @@ class _Server:
 
     def _meet(self, tests: list[pytest.Item], known: Map, out: Any) -> None:
         for item, after in zip(tests, [*tests[1:], None], strict=False):
-            signal.setitimer(signal.ITIMER_REAL, 60.0 + 10.0 * known[item.nodeid][0])  # the signal ends the process
+            signal.setitimer(signal.ITIMER_REAL, _LIMIT_S + 10.0 * known[item.nodeid][0])  # the signal ends the process
             out.write(item.nodeid + "\n")
             bad = [r for r in runtestprotocol(item, nextitem=after, log=False) if r.failed]
             if bad:
@@ -448,6 +480,21 @@ class _Server:
                 out.write(json.dumps({"status": "killed", "how": f"{item.nodeid}: {said}"[:300]}) + "\n")
                 return
         out.write(json.dumps({"status": "survived"}) + "\n")
+
+
+def concerned(mutants: list[Mutant]) -> list[str]:
+    """Return the files of tests that import a module of a mutant, and those that reach most modules."""
+    modules = {"maxq." + m.file.removesuffix(".py").replace("/", ".").removeprefix("api.") for m in mutants}
+    pattern = re.compile("|".join(rf"{re.escape(module)}\b" for module in sorted(modules)))
+    tests = ((ROOT / "tests" / name, name) for name in sorted(os.listdir(ROOT / "tests")) if name.startswith("test_"))
+    return [f"tests/{name}" for path, name in tests if name in USUAL or pattern.search(_imported(path))]
+
+
+@cache
+def _imported(path: Path) -> str:
+    """Return the modules, and the names from modules, that a file imports, one on each line."""
+    nodes = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Import | ast.ImportFrom)]
+    return "\n".join(f"{getattr(node, 'module', '') or ''}.{name.name}" for node in nodes for name in node.names)
 
 
 def read_map(work: Path) -> Map:
@@ -515,6 +562,8 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True, help="folder for the copy, its cache, and results")
     parser.add_argument("--number", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--without-kernels", action="store_true", help="of `plant`: none that require a compilation")
+    parser.add_argument("--concerned", action="store_true", help="the files of tests that import a module of a mutant")
     parser.add_argument("--named", action="store_true", help="of `plant`: the faults of harness_mutants.py as well")
     parser.add_argument("--also", type=Path, help="of `plant`: mutants of an earlier mutants.json too")
     parser.add_argument("--refused", default="", help="of `plant`: numbers of those that Numba refuses to compile")
@@ -524,7 +573,7 @@ def main() -> None:
     work = given.work.resolve()
     work.mkdir(parents=True, exist_ok=True)
     if given.do == "plant":
-        mutants = drawn(given.number, given.seed)
+        mutants = drawn(given.number, given.seed, not given.without_kernels)
         mutants += named(1 + len(mutants)) if given.named else []
         mutants += found_again(json.loads(given.also.read_text()), 1 + len(mutants)) if given.also else []
         refused = {int(n) for n in given.refused.split(",") if n}
@@ -538,7 +587,6 @@ def main() -> None:
         return
     if "MAXQ_MUTANTS" not in os.environ:  # start again with the planted sources
         (work / "switch").write_bytes(bytes(8 * (MOST + 1)))
-        (work / "cache").mkdir(mode=0o700, exist_ok=True)
         places = {"MAXQ_MUTANTS": work / "switch", "PYTHONPATH": work / "python", "MAXQ_CACHE": work / "cache"}
         os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **{k: str(v) for k, v in places.items()}})
     shutil.copytree(ROOT / "tests", work / "tree/tests", dirs_exist_ok=True)
@@ -546,7 +594,10 @@ def main() -> None:
     wanted = {int(n) for n in given.only.split(",")} if given.only else {m.number for m in mutants} - set(done)
     mutants = [m for m in mutants if m.number in wanted]
     options = ["-s", "-m", "not slow", "-p", "no:cacheprovider", "-p", "no:terminal", "--ignore-glob=*packaging*"]
-    pytest.main([*options, *(given.tests or ["tests"])], plugins=[_Server(work, mutants, given.do, given.budget)])
+    tests = [t for t in concerned(mutants) if not given.tests or t in given.tests] if given.concerned else given.tests
+    pytest.main(
+        [*options, *(tests or ["tests"])], plugins=[_Server(work, mutants, given.do, given.budget, given.concerned)]
+    )
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from maxq.control.kernel.records import Array
+from maxq.sim.files import whole_file
 from maxq.sim.log.messages import FramePath
 from maxq.tools.plots.palette import BLUE, FAILED, GREY, ON_DARK, ORANGE, PURPLE, RED, VERDICT, WHITE
 from maxq.tools.replay import stream
@@ -79,11 +80,14 @@ class _Drawn:
 
 
 def save(flights: Sequence[ReplayFlight], options: Options, path: Path) -> None:
-    """Write an .rrd file, which any viewer of this version opens without further files."""
+    """Write an .rrd file, which any viewer of this version opens without further files.
+
+    The file is written completely or not at all. Raises FileError.
+    """
     name = ", ".join(flight.label for flight in flights[:3]) + (" ..." if len(flights) > 3 else "")
     recording = rr.RecordingStream(stream.APPLICATION, recording_id=name)
-    with recording:
-        recording.save(path)
+    with whole_file(path) as part, recording:
+        recording.save(part)
         blueprint = send_flights(recording, flights, options)
         recording.send_blueprint(blueprint, make_active=True, make_default=True)
         recording.flush()

@@ -277,7 +277,7 @@ def _summary(log: Log) -> Mapping[str, Any]:
     """Return the summary next to the log, or an empty mapping if it does not belong to the same flight."""
     try:
         summary = json.loads(log.path.with_name(SUMMARY_NAME).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
     if not isinstance(summary, dict) or summary.get("state_hash") != log.end.get("state_hash", ""):
         return {}

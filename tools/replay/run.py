@@ -80,6 +80,8 @@ def _show(flights: list[ReplayFlight], given: argparse.Namespace, client: Callab
         path = Path(given.save)
         if path.is_dir():
             raise ReplayError(f"{path}: is a folder; --save needs the name of a file")
+        if path.exists() and not path.is_file():  # which the new file would replace
+            raise ReplayError(f"{path}: is no regular file; --save needs the name of a file")
         _convert(flights, given, path)
         tell(f"{path}   {path.stat().st_size / 1e6:.1f} MB")
         return Exit.OK

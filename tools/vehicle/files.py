@@ -5,6 +5,8 @@ a scenario, a campaign, a case and a suite.
 from __future__ import annotations
 
 import math
+import os
+import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -53,14 +55,27 @@ def write(built: Built, folder: Path) -> list[Path]:
     Raises ValueError, without leaving a file, if the vehicle cannot be loaded: a value of the layout that no check of
     the layout rejects, but one of the vehicle.
     """
-    layout, files = built.layout, []
+    contents = _contents(built)
+    with tempfile.TemporaryDirectory(prefix="maxq-vehicle-") as trial:
+        for name, text in contents.items():
+            write_whole(Path(trial) / name, text)
+        try:
+            load_scenario(Path(trial) / "scenario.toml")
+        except ScenarioError as error:
+            said = str(error).replace(f"{trial}{os.sep}", "")
+            raise ValueError(f"the vehicle made from it is not valid: {said}") from None
+    return [write_whole(folder / name, text) for name, text in contents.items()]
+
+
+def _contents(built: Built) -> dict[str, str]:
+    """Return the texts of all files of a built vehicle by name."""
+    layout, texts = built.layout, dict[str, str]()
     tables: Tables = {} if layout.unguided else {"pitch_programme.csv": _programme(built)}
     vehicle = _vehicle(built, tables)
     if not layout.unguided:
         tables["limit_wind.csv"] = _limit_wind(layout.site.jet_mps)
     for name, (head, rows) in tables.items():
-        text = "\n".join([head, *(",".join(f"{v:{DIGITS}}" for v in row) for row in rows)]) + "\n"
-        files.append(write_whole(folder / "vehicle" / name, text))
+        texts[f"vehicle/{name}"] = "\n".join([head, *(",".join(f"{v:{DIGITS}}" for v in row) for row in rows)]) + "\n"
     made = f"# {layout.name}: an estimate from a layout by simvehicle, to begin with.\n"
     documents = {"vehicle/vehicle.toml": _rounded(vehicle), "scenario.toml": _scenario(built)}
     if not layout.unguided:
@@ -70,17 +85,10 @@ def write(built: Built, folder: Path) -> list[Path]:
             "case.toml": _case(built),
             "suite.toml": _suite(built),
         }
-    for name, content in documents.items():
-        files.append(write_whole(folder / name, made + tomli_w.dumps(content)))
+    texts |= {name: made + tomli_w.dumps(content) for name, content in documents.items()}
     if built.design is not None:
-        write_whole(folder / "design.toml", made + design_text(built.design, ()))
-    try:
-        load_scenario(folder / "scenario.toml")
-    except ScenarioError as error:
-        for file in files:
-            file.unlink()
-        raise ValueError(f"the vehicle made from it is not valid: {error}") from None
-    return files
+        texts["design.toml"] = made + design_text(built.design, ())
+    return texts
 
 
 def _rounded(value: Any) -> Any:

@@ -10,6 +10,7 @@ whether or not they meet the limits of the case.
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from maxq.design.verify.judging import judge
 from maxq.design.verify.own_flight import CaseDesign, design_case
 from maxq.sim.run.flight import Event
 from maxq.sim.scenario.loader import load_scenario
+from maxq.tools.cli.frame import Interruption
 from maxq.tools.vehicle.build import Built, dozen
 from maxq.tools.vehicle.files import write
 
@@ -69,31 +71,42 @@ class FirstGains:
 def write_with_first_gains(
     built: Built, folder: Path, progress: Callable[[str, int, int], None] = lambda *_: None
 ) -> tuple[Built, list[Path], FirstGains]:
-    """Write a vehicle, check its first gains along the flight that they control, and search for others if they fail.
+    """Check the first gains of a vehicle along the flight that they control, search for others if they fail, and write
+    the vehicle.
 
-    Return the vehicle, the paths of its files, and the check of its gains. Gains from the search are discarded if they
-    leave more operating points unstable.
+    Return the vehicle, the paths of its files, and the check of its gains. Nothing is written to the folder before the
+    gains are found.
     """
-    files = write(built, folder)
+    with tempfile.TemporaryDirectory(prefix="maxq-vehicle-") as trial:
+        built, gains = _held(built, Path(trial), progress)
+    with Interruption():  # all files of the vehicle, even if Ctrl-C is pressed now
+        return built, write(built, folder), gains
+
+
+def _held(built: Built, trial: Path, progress: Callable[[str, int, int], None]) -> tuple[Built, FirstGains]:
+    """Return a vehicle with gains that hold its flight, if any are found, and their check.
+
+    Gains from the search are discarded if they leave more operating points unstable. The vehicle is written to the
+    folder `trial`.
+    """
+    write(built, trial)
     progress("flying the first gains", 0, 0)
-    found = checked(folder)
+    found = checked(trial)
     if found.hold:
-        return built, files, found
+        return built, found
     some = () if found.loss is not None else (f"stages={[n + 1 for n in found.unstable_stages]}",)
     try:
         made = design_case(
-            read_case(folder / "case.toml", (*SEARCH, *some)),
+            read_case(trial / "case.toml", (*SEARCH, *some)),
             lambda stage, number: lambda done, of, best_db, what: progress("searching first gains", done, of),
             rounds_most=1,
         )
     except ValueError:  # no operating point: lost immediately
-        return built, files, found
+        return built, found
     changed = with_design(built, made)
-    files = write(changed, folder)
-    again = replace(checked(folder), searched=True)
-    if len(again.unstable_s) > len(found.unstable_s) and not again.hold:
-        return built, write(built, folder), found
-    return changed, files, again
+    write(changed, trial)
+    again = replace(checked(trial), searched=True)
+    return (built, found) if len(again.unstable_s) > len(found.unstable_s) and not again.hold else (changed, again)
 
 
 def checked(folder: Path) -> FirstGains:

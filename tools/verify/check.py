@@ -92,11 +92,10 @@ def execute(
                 _results(pack, sample, random.Random(seed), found, progress)
             else:
                 found.differs.append("nothing was derived or computed again: the inputs differ")
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+    except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError, RecursionError) as error:
         raise CommandError(f"{place}: no verdict.json of this version of simverify ({error})") from error
-    tell(
-        f"{place}: {record['verdict'].upper()} by the suite {record['suite']}; sample of {sample}, drawn by seed {seed}"
-    )
+    verdict, name = (printable(str(record[key])) for key in ("verdict", "suite"))  # of any type in a forged pack
+    tell(f"{place}: {verdict.upper()} by the suite {name}; sample of {sample}, drawn by seed {seed}")
     tell(*(f"  agrees: {printable(text)}" for text in found.agrees))
     tell(*(f"  DIFFERS: {printable(text)}" for text in found.differs))
     count = len(found.differs)
@@ -109,11 +108,10 @@ def _read(path: Path) -> dict[str, Any]:
         record = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise CommandError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise CommandError(f"{path}: is not JSON: {error}") from None
-    missing = [
-        k for k in ("asked", "files", "hashes", "attempt", "flights") if not isinstance(record, dict) or k not in record
-    ]
+    needed = ("asked", "files", "hashes", "attempt", "flights", "verdict", "suite")
+    missing = [key for key in needed if not isinstance(record, dict) or key not in record]
     if missing:
         raise CommandError(f"{path}: no verdict.json that can be checked: it has no {missing[0]}")
     return dict(record)

@@ -72,9 +72,11 @@ def write_pack(found: Verification, folder: Path, command: str, pack: bool, sign
     first.
 
     The other files are a copy of the ledger and the worst vehicles. With `pack`, they include the results, the runs of
-    the campaigns, the figures as CSV, and the review as HTML and, if a browser can print it, as PDF. Raises FileError.
+    the campaigns, the figures as CSV, and the review as HTML and, if a browser can print it, as PDF. An earlier
+    verdict.json is removed first, so that it never stands for other files. Raises FileError.
     """
-    (folder / f"{VERDICT_NAME}{SUFFIX}").unlink(missing_ok=True)  # from an earlier pack
+    for earlier in (VERDICT_NAME, f"{VERDICT_NAME}{SUFFIX}"):
+        (folder / earlier).unlink(missing_ok=True)
     files = [write_attempts(found, folder), *(write_runs(found, folder) if pack else [])]
     files += [write_whole(folder / RESULTS_NAME, found.results.to_bytes())] if pack else []
     for w in found.results.worst:
