@@ -79,7 +79,8 @@ def _modes(content: bytes, path: FilePath, label: str) -> NastranModes:
                 bulk = bulk.or_else(_bulk(beside.read_text(encoding="latin-1").splitlines()))
     except (struct.error, ValueError, IndexError, UnicodeDecodeError) as error:
         kind = "an op2 file of 32-bit words" if path.suffix.lower() == ".op2" else "an f06 file"
-        raise refuse(f"is not {kind} ({str(error)[:100]})", "the output of a normal-modes run (SOL 103)", file=label) from None
+        said = str(error)[:100]
+        raise refuse(f"is not {kind} ({said})", "the output of a normal-modes run (SOL 103)", file=label) from None
     grids = bulk.grids
     for what, found in (("eigenvalues", values), ("eigenvectors", vectors), ("positions of grid points", grids)):
         if not found:
