@@ -54,7 +54,6 @@ SHORT = ("--set", "run.duration_s=0.02")
 _LARGE = ("advance", "begin")
 """The kernels of a flight, which take about a minute to compile for another structure."""
 CODES = {0, 1, 2, 3}
-Words = Callable[[str], list[str]]
 
 
 class _Accepted(BaseException):
@@ -81,7 +80,7 @@ class Kind:
 
 
 @dataclass
-class Counts:
+class InputCounts:
     """The outcomes of one kind: numbers of inputs, and the faults with their files."""
 
     number: int = 0
@@ -151,11 +150,11 @@ def _files() -> Iterator[str]:
         yield from (os.path.join(place, name) for name in folders)
 
 
-def run(kinds: list[Kind], number: int, seed: int, shown: Callable[[str], object]) -> dict[str, Counts]:
+def run(kinds: list[Kind], number: int, seed: int, shown: Callable[[str], object]) -> dict[str, InputCounts]:
     """Give `number` inputs in all to the commands, and return the outcomes by kind."""
-    out, total = dict[str, Counts](), sum(kind.share for kind in kinds)
+    out, total = dict[str, InputCounts](), sum(kind.share for kind in kinds)
     for kind in kinds:
-        chance, count = random.Random(f"{kind.name} {seed}"), Counts()
+        chance, count = random.Random(f"{kind.name} {seed}"), InputCounts()
         sources = {name: mutants(name, Path(name).read_bytes(), chance) for name in kind.files}
         began = time.process_time()
         for name in itertools.islice(itertools.cycle(kind.files), round(number * kind.share / total)):
@@ -182,7 +181,7 @@ def _end(number: int, frame: object) -> None:
     raise _TooLong
 
 
-def summary(found: dict[str, Counts]) -> Counter[str]:
+def summary(found: dict[str, InputCounts]) -> Counter[str]:
     """Return the numbers of faults by kind and text, without the numbers in the texts."""
     return Counter(
         f"{name}: {re.sub('[0-9]+', 'N', text)[:160]}" for name, counts in found.items() for text, _ in counts.faults

@@ -68,7 +68,7 @@ ENDS_S = 60.0
 
 
 @dataclass(frozen=True)
-class Case:
+class KilledCommand:
     """A command, the folder that it writes, and the numbers of SIGKILLs and of other signals."""
 
     name: str
@@ -89,7 +89,7 @@ class Killed:
     faults: list[str] = field(default_factory=list)
 
 
-def cases(folder: Path) -> list[Case]:
+def cases(folder: Path) -> list[KilledCommand]:
     """Write the inputs below `folder`, which becomes the working folder, and return the cases."""
     os.chdir(folder)
     os.environ["MAXQ_LEDGER"] = str(folder / "ledger")
@@ -100,25 +100,29 @@ def cases(folder: Path) -> list[Case]:
     Path("case.toml").write_text(CASE)
     Path("suite.toml").write_text(SUITE)
     return [
-        Case("simrun fly", simrun.command, ("fly", "nominal", "--set", "run.duration_s=20", "--out", "fly"), "fly", 6),
-        Case(
+        KilledCommand(
+            "simrun fly", simrun.command, ("fly", "nominal", "--set", "run.duration_s=20", "--out", "fly"), "fly", 6
+        ),
+        KilledCommand(
             "simrun campaign", simrun.command, ("campaign", "small.toml", "--workers", "2", "--out", "camp"), "camp", 8
         ),
-        Case(
+        KilledCommand(
             "simdesign optimise",
             simdesign.command,
             ("optimise", "case.toml", "--no-pictures", "--no-trials", "--out", "made"),
             "made",
             6,
         ),
-        Case("simverify", simverify.command, ("ksr3-robust", "--suite", "suite.toml", "--out", "pack"), "pack", 5),
-        Case("simvehicle", simvehicle.command, ("stub.toml", "--out", "stub"), "stub", 4),
-        Case("simreplay --save", simreplay.command, ("flown", "--save", "saved/f.rrd"), "saved", 8),
-        Case("simreplay --plots", simreplay.command, ("flown", "--plots", "plots"), "plots", 3),
+        KilledCommand(
+            "simverify", simverify.command, ("ksr3-robust", "--suite", "suite.toml", "--out", "pack"), "pack", 5
+        ),
+        KilledCommand("simvehicle", simvehicle.command, ("stub.toml", "--out", "stub"), "stub", 4),
+        KilledCommand("simreplay --save", simreplay.command, ("flown", "--save", "saved/f.rrd"), "saved", 8),
+        KilledCommand("simreplay --plots", simreplay.command, ("flown", "--plots", "plots"), "plots", 3),
     ]
 
 
-def run(case: Case, seed: int, shown: Callable[[str], object]) -> Killed:
+def run(case: KilledCommand, seed: int, shown: Callable[[str], object]) -> Killed:
     """Kill a case, and return the outcome."""
     chance, found = random.Random(f"{case.name} {seed}"), Killed()
     Path("saved").mkdir(exist_ok=True)
@@ -155,7 +159,7 @@ def _files(folder: str) -> set[str]:
     return {str(path) for path in Path(folder).rglob("*") if path.is_file()}
 
 
-def _ended(case: Case, number: signal.Signals | None, after_s: float) -> tuple[float, int, str]:
+def _ended(case: KilledCommand, number: signal.Signals | None, after_s: float) -> tuple[float, int, str]:
     """Run a command in a child, send a signal after a time, and return time, exit code and standard error."""
     Path("said").write_text("")
     signal.pthread_sigmask(signal.SIG_BLOCK, ORDERLY)  # until the command handles them
@@ -185,7 +189,7 @@ def _ended(case: Case, number: signal.Signals | None, after_s: float) -> tuple[f
         time.sleep(0.002)
 
 
-def _broken(case: Case, before: set[str], orderly: bool) -> Iterator[str]:
+def _broken(case: KilledCommand, before: set[str], orderly: bool) -> Iterator[str]:
     """Yield the files of a folder that are not whole, and after an orderly end also new temporary files."""
     for name in sorted(_files(case.out)):
         path = Path(name)

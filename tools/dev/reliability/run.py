@@ -1,9 +1,8 @@
 """Broken inputs and killed commands, with the table of docs/verification.md.
 
-    python -m maxq.tools.dev.reliability.run inputs --number 10000 --seed 1 --results FILE   # about five minutes
-    python -m maxq.tools.dev.reliability.run kills --seed 1 --results FILE                   # about five minutes
-    python -m maxq.tools.dev.reliability.run table --results FILE
+    python -m maxq.tools.dev.reliability.run inputs --number 10000 --seed 1 --results FILE
 
+`kills` in place of `inputs` kills commands, and `table` writes the table from FILE. Each takes about five minutes.
 `--results` appends a line for each kind of input and for each command. `--keep` is a folder for the inputs that are
 faults, each with its message.
 """
@@ -38,10 +37,10 @@ GROUPS = {
     "options of the commands": ("options",),
 }
 """The rows of the table, and the kinds of inputs in each."""
-Shown = Callable[[str], object]
+ShowLine = Callable[[str], object]
 
 
-def broken(only: list[str], number: int, seed: int, keep: Path | None, shown: Shown) -> Iterator[dict[str, Any]]:
+def broken(only: list[str], number: int, seed: int, keep: Path | None, shown: ShowLine) -> Iterator[dict[str, Any]]:
     """Give broken inputs to the commands, and yield the outcome of each kind. Raises SystemExit for an intact input
     that is not used.
     """
@@ -75,7 +74,7 @@ def broken(only: list[str], number: int, seed: int, keep: Path | None, shown: Sh
         shown(f"{times} {text}")
 
 
-def killed(only: list[str], seed: int, shown: Shown) -> Iterator[dict[str, Any]]:
+def killed(only: list[str], seed: int, shown: ShowLine) -> Iterator[dict[str, Any]]:
     """Kill and interrupt commands, and yield the outcome of each."""
     with tempfile.TemporaryDirectory() as folder:
         with contextlib.redirect_stdout(io.StringIO()):
