@@ -33,10 +33,11 @@ from unittest import mock
 import numba.core.dispatcher
 from pydantic_core import PydanticCustomError
 
-import maxq
-from maxq import CampaignError, ScenarioError
+from maxq.sim.campaign.error import CampaignError
+from maxq.sim.campaign.read import load_campaign
 from maxq.sim.campaign.runner import run_campaign
 from maxq.sim.campaign.targets import Refused
+from maxq.sim.input.errors import ScenarioError
 from maxq.sim.input.foreign import read_datcom
 from maxq.sim.log.head import LogError
 from maxq.sim.packing.flight import pack_flight
@@ -221,7 +222,7 @@ def _campaign(file: str) -> int:
     """Draw and pack two runs."""
 
     def read() -> None:
-        loaded = maxq.load("ksr3/campaigns/ksr3.toml")
+        loaded = load_campaign("ksr3/campaigns/ksr3.toml")
         for run in (0, 1):
             pack_flight(loaded.inputs(run).loaded.scenario)
 
@@ -353,7 +354,11 @@ def make_files(folder: Path, only: Collection[str] = ()) -> list[Kind]:
     vehicles = ("nominal", "ksr3-ringed", "tvc-load", "nesc-17")
 
     def again(place: str) -> Callable[[], object]:
-        return lambda: (shutil.rmtree(place, ignore_errors=True), shutil.copytree(f"intact-{place}", place))
+        def restore() -> None:
+            shutil.rmtree(place, ignore_errors=True)
+            shutil.copytree(f"intact-{place}", place)
+
+        return restore
 
     def option(_: str) -> int:
         module, *given = next(words)
