@@ -101,3 +101,17 @@ def test_a_value_that_only_the_vehicle_rejects_is_an_error_of_the_layout(
         "reference.length_m = -1.0: is out of range; allowed: a number > 0 (and 3 more)"
     )
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.slow
+def test_an_interrupted_build_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(folder: Path) -> FirstGains:
+        assert (folder / "scenario.toml").exists()  # in a temporary folder
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("maxq.tools.vehicle.build.MODE_ROWS", 2)
+    monkeypatch.setattr(first_gains, "checked", interrupted)
+    built = build(read_layout(layoutkit.LAYOUTS / "stub.toml"))
+    with pytest.raises(KeyboardInterrupt):
+        first_gains.write_with_first_gains(built, tmp_path / "new")
+    assert not (tmp_path / "new").exists()

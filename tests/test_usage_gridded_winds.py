@@ -203,3 +203,20 @@ def test_without_the_packages_one_line_names_the_extra(tmp_path: Path, monkeypat
     monkeypatch.setitem(__import__("sys").modules, "xarray", None)
     with pytest.raises(CommandError, match=r"pip install 'maxq\[winds\]'"):
         simrun_winds.execute([str(file)], place=(30.0, 120.0))
+
+
+def test_axes_that_are_not_those_of_winds_are_rejected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Both files once ended in an internal error; mutants of bytes have such axes."""
+    data = _data(("u", "v", "z"), latitudes=[40.0, 30.0], longitudes=[120.0, 130.0])
+    undated = data.assign_coords(valid_time=[0, 6])
+    flat = data.assign(z=data["z"].isel(pressure_level=0, drop=True))
+    for given, says in (
+        (undated, "valid_time: has times that are no dates"),
+        (flat, "z is over the axes valid_time, "),
+    ):
+        file = _file(tmp_path, given)
+        assert _run("winds", str(file), "--at", "36.5,126.25", "--out", str(tmp_path / "out")) == 2
+        said = capsys.readouterr().err
+        assert says in said
+        assert said.count("\n") == 1
+    assert not (tmp_path / "out").exists()

@@ -150,6 +150,14 @@ def _profiles(
             allowed = f"one of {', '.join(_AXES[axis])}"
             raise ScenarioError(label, f"has no axis of {axis}, only {', '.join(map(str, data.dims))}", allowed=allowed)
     there = _columns(data, label)
+    known = set(filter(None, axes.values()))
+    for name, _ in there.values():
+        if axes["level"] not in data[name].dims or not known.issuperset(data[name].dims):
+            problem = f"{name} is over the axes {', '.join(map(str, data[name].dims)) or 'none'}"
+            raise ScenarioError(label, problem, allowed=f"{', '.join(sorted(known))}, with {axes['level']}")
+    if axes["time"] is not None and not np.issubdtype(data[axes["time"]].dtype, np.datetime64):
+        allowed = "dates, by units such as hours since 1970-01-01"
+        raise ScenarioError(label, "has times that are no dates", str(axes["time"]), allowed=allowed)
     here = _at_place(data[[name for name, _ in there.values()]], label, axes, latitude_deg, longitude_deg)
     if axes["time"] is not None:
         here = _at_time(here, label, axes["time"], time)

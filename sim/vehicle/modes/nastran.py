@@ -79,9 +79,8 @@ def _modes(content: bytes, path: FilePath, label: str) -> NastranModes:
                 bulk = bulk.or_else(_bulk(beside.read_text(encoding="latin-1").splitlines()))
     except (struct.error, ValueError, IndexError, UnicodeDecodeError) as error:
         kind = "an op2 file of 32-bit words" if path.suffix.lower() == ".op2" else "an f06 file"
-        raise refuse(
-            f"is not {kind} ({str(error)[:100]})", "the output of a normal-modes run (SOL 103)", file=label
-        ) from None
+        said = str(error)[:100]
+        raise refuse(f"is not {kind} ({said})", "the output of a normal-modes run (SOL 103)", file=label) from None
     grids = bulk.grids
     for what, found in (("eigenvalues", values), ("eigenvectors", vectors), ("positions of grid points", grids)):
         if not found:
@@ -96,15 +95,15 @@ def _modes(content: bytes, path: FilePath, label: str) -> NastranModes:
     numbers = [n for n in sorted(vectors) if n in values and values[n][0] >= _LOWEST_HZ]
     if not points or not numbers:
         raise refuse("eigenvectors belong to no grid point or eigenvalue of the file", "one model's", file=label)
-    found = NastranModes(
+    modes = NastranModes(
         np.array([values[n][0] for n in numbers]),
         np.array([values[n][1] for n in numbers]),
         np.array([grids[p] for p in points]),
         np.array([[vectors[n][p] for p in points] for n in numbers]),
         *bulk.lumped(),
     )
-    refuse_extreme(label, *vars(found).values())
-    return found
+    refuse_extreme(label, *vars(modes).values())
+    return modes
 
 
 Values = dict[int, tuple[float, float]]  # by mode: Hz, generalised mass
