@@ -87,9 +87,10 @@ class Own:
         return float(angle) if name == "angle_rad" else float(rate) * self._weights.get(name, 0.0)
 
     def poles(self) -> ComplexArray:
-        own = np.linalg.eigvals(self.system[0]).astype(np.complex128)
+        own: ComplexArray = np.linalg.eigvals(self.system[0]).astype(np.complex128)
         if self.sample_s is not None:
-            own = np.log(own[np.abs(own) > 1e-6]) / self.sample_s  # others act as pure delays
+            kept = own[np.abs(own) > 1e-6]  # others act as pure delays
+            own = np.asarray(np.log(kept) / self.sample_s, np.complex128)
         return np.concatenate([own, *(filter_poles(each) for each in (self.filter, *self.loops[:2]))])
 
     def state_space(self) -> StateSpace:
@@ -251,8 +252,8 @@ class OwnVariables(PdVariables):
                 self._known.clear()
             values = np.exp(log_values)
             slopes = self.code.slopes(values, self.sample_s)
-            scaled = [tuple(v * m for m in each) for v, each in zip(values, slopes, strict=True)]
-            self._known[key] = self.code.system(values, self.sample_s), scaled  # type: ignore[assignment]  # four of them
+            scaled = [(v * a, v * b, v * c, v * d) for v, (a, b, c, d) in zip(values, slopes, strict=True)]
+            self._known[key] = self.code.system(values, self.sample_s), scaled
         return self._known[key]
 
     def _terms(self, own: Array, axis: Axis) -> tuple[ValueAndSlopes, ComplexArray]:

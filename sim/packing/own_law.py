@@ -25,6 +25,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
 from maxq.control.laws.own import MAX_MEMORY, MAX_VALUES, OwnLaw
@@ -38,6 +39,7 @@ SMALL_RAD, SAMPLES, SAME = 1e-4, 40, 1e-9
 STEP, DIFFERENCE, ALIKE = 1e-30, 1e-5, 1e-4  # complex step; relative step and tolerance of the differences
 
 System = tuple[Array, Array, Array, Array]
+_C_FUNCTION: Any = type(ctypes.CFUNCTYPE(None)()).__mro__[1]  # the base of all functions of ctypes
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class OwnCode:
         """Return the names of the columns of a gain table."""
         return tuple(OWN + name for name in self.names)
 
-    def system(self, values: Array, sample_s: float) -> System:
+    def system(self, values: Array | NDArray[np.complex128], sample_s: float) -> System:
         """Return A, B, C, D of the law at values of its variables, real or complex. Raises ScenarioError."""
         try:
             given = self.matrices(values, sample_s)
@@ -138,11 +140,11 @@ def _own_code(file: str, sha256: str, member: str, title: str) -> OwnCode:
         if found is None or (part != "variables" and not callable(found)):
             what = "a table of start, lower and upper bound by name" if part == "variables" else "a function"
             raise error("is missing" if found is None else "is not a function", part, what)
-    names, numbers = _variables(law.variables, error)
+    names, (start, lower, upper) = _variables(law.variables, error)
     constant = tuple(getattr(law, "constant", ()))
     if strange := [name for name in constant if name not in names]:
         raise error(f"names {strange[0]!r}", "constant", ", ".join(names))
-    return OwnCode(title, names, *numbers, constant, law.matrices, law.step)
+    return OwnCode(title, names, start, lower, upper, constant, law.matrices, law.step)
 
 
 def _variables(given: Any, error: Callable[..., ScenarioError]) -> tuple[tuple[str, ...], Array]:
@@ -188,7 +190,7 @@ def check_step(file: CodeFile, values: tuple[float, ...], sample_s: float) -> No
 
 def _caller(code: OwnCode) -> Callable[..., float]:
     """Return the function `step` for a call from Python."""
-    if not isinstance(code.step, ctypes._CFuncPtr):
+    if not isinstance(code.step, _C_FUNCTION):
         return lambda *given: float(code.step(*given))
     step = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 3)(_address(code.step))
 
@@ -217,7 +219,7 @@ def pack_own_law(file: CodeFile, values: tuple[float, ...], sample_s: float) -> 
 def _compiled(file: CodeFile) -> tuple[int, Any]:
     """Return the address of the compiled `step`, and the objects that keep it valid. Raises ScenarioError."""
     code = own_code(file)
-    if isinstance(code.step, ctypes._CFuncPtr):
+    if isinstance(code.step, _C_FUNCTION):
         return _address(code.step), code.step
     count, room, own = len(code.names), MAX_MEMORY, code.step
     if numba.config.DISABLE_JIT:
