@@ -38,7 +38,7 @@ SMALL_RAD, SAMPLES, SAME = 1e-4, 40, 1e-9
 """The amplitude and the number of samples of the comparison of `step` with `matrices`, and its tolerance."""
 STEP, DIFFERENCE, ALIKE = 1e-30, 1e-5, 1e-4  # complex step; relative step and tolerance of the differences
 
-System = tuple[Array, Array, Array, Array]
+LawMatrices = tuple[Array, Array, Array, Array]
 _C_FUNCTION: Any = type(ctypes.CFUNCTYPE(None)()).__mro__[1]  # the base of all functions of ctypes
 
 
@@ -60,14 +60,15 @@ class OwnCode:
         """Return the names of the columns of a gain table."""
         return tuple(OWN + name for name in self.names)
 
-    def system(self, values: Array | NDArray[np.complex128], sample_s: float) -> System:
+    def system(self, values: Array | NDArray[np.complex128], sample_s: float) -> LawMatrices:
         """Return A, B, C, D of the law at values of its variables, real or complex. Raises ScenarioError."""
         try:
             given = self.matrices(values, sample_s)
         except Exception as error:  # a fault of the user's file, whatever it is
             raise self.error("matrices", described(error)) from None
         try:
-            a, b, c, d = (np.atleast_2d(np.asarray(m, values.dtype)) for m in given)
+            each: list[Any] = [np.atleast_2d(np.asarray(m, values.dtype)) for m in given]
+            a, b, c, d = each
         except (TypeError, ValueError) as error:
             allowed = "four arrays A, B, C, D"
             raise self.error("matrices", f"returns another form ({error})", allowed) from None
@@ -84,7 +85,7 @@ class OwnCode:
             raise self.error("matrices", f"the law has a pole of magnitude {largest:.6g}", "poles below 1")
         return a, b, c, d
 
-    def slopes(self, values: Array, sample_s: float) -> list[System]:
+    def slopes(self, values: Array, sample_s: float) -> list[LawMatrices]:
         """Return the derivatives of A, B, C, D with respect to each variable. Raises ScenarioError."""
         out = []
         for k in range(len(values)):
