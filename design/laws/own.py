@@ -27,7 +27,7 @@ from maxq.design.laws.schedule import GainSchedules
 from maxq.design.laws.task import Task
 from maxq.design.model.instruments import Plane, further_rate
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain
-from maxq.sim.packing.own_law import OwnCode, LawMatrices, check_step, own_code
+from maxq.sim.packing.own_law import LawMatrices, OwnCode, check_step, own_code
 from maxq.sim.scenario.schema_design import Design
 
 
