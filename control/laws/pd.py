@@ -59,7 +59,7 @@ class GainSchedule:
 
     def __getitem__(self, name: str) -> Sequence[float]:
         """Return the values of a gain."""
-        return self.own[name] if name in self.own else getattr(self, name)  # type: ignore[no-any-return]  # a gain
+        return self.own[name] if name in self.own else getattr(self, name)
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ from maxq.design.laws.schedule import GainSchedules
 from maxq.design.laws.task import Task
 from maxq.design.model.instruments import Plane, further_rate
 from maxq.design.model.state_space import ComplexArray, StateSpace, chain
-from maxq.sim.packing.own_law import OwnCode, System, check_step, own_code
+from maxq.sim.packing.own_law import LawMatrices, OwnCode, check_step, own_code
 from maxq.sim.scenario.schema_design import Design
 
 
@@ -38,7 +38,7 @@ class Own:
     `system` contains A to D as flown, `values` the variables by column, and `factor` a gain.
     """
 
-    system: System
+    system: LawMatrices
     values: Mapping[str, float]
     sample_s: float | None
     filter: AnyFilter = None
@@ -87,9 +87,10 @@ class Own:
         return float(angle) if name == "angle_rad" else float(rate) * self._weights.get(name, 0.0)
 
     def poles(self) -> ComplexArray:
-        own = np.linalg.eigvals(self.system[0]).astype(np.complex128)
+        own: ComplexArray = np.linalg.eigvals(self.system[0]).astype(np.complex128)
         if self.sample_s is not None:
-            own = np.log(own[np.abs(own) > 1e-6]) / self.sample_s  # others act as pure delays
+            kept = own[np.abs(own) > 1e-6]  # others act as pure delays
+            own = np.asarray(np.log(kept) / self.sample_s, np.complex128)
         return np.concatenate([own, *(filter_poles(each) for each in (self.filter, *self.loops[:2]))])
 
     def state_space(self) -> StateSpace:
@@ -113,7 +114,7 @@ class Own:
         return replace(self, factor=factor * self.factor)
 
 
-def bilinear(system: System, sample_s: float) -> System:
+def bilinear(system: LawMatrices, sample_s: float) -> LawMatrices:
     """Return A to D of a discrete law in continuous time, with z = (1 + s T / 2) / (1 - s T / 2)."""
     a, b, c, d = system
     one, h = np.eye(len(a)), 2.0 / sample_s
@@ -121,7 +122,7 @@ def bilinear(system: System, sample_s: float) -> System:
     return h * q @ (a - one), np.sqrt(2.0 * h) * q @ b, np.sqrt(2.0 * h) * c @ q, d - c @ q @ b
 
 
-def _at(system: System, z: ComplexArray) -> ComplexArray:
+def _at(system: LawMatrices, z: ComplexArray) -> ComplexArray:
     """Return C (z I - A)^-1 B + D at points z (...), of shape (..., 2)."""
     a, b, c, d = system
     resolvent = z[..., None, None] * np.eye(len(a)) - a
@@ -222,7 +223,7 @@ class OwnVariables(PdVariables):
         self.code.check_slopes(self.sample_s)
         check_step(task.case.plug_in, tuple(self.code.start.tolist()), self.sample_s)
         self.keys = self.code.columns
-        self._known: dict[bytes, tuple[System, list[System]]] = {}
+        self._known: dict[bytes, tuple[LawMatrices, list[LawMatrices]]] = {}
         super().__init__(task, like, schedule)
 
     def _schedules(self, nodes: Array, weights: Array, fixed: Array | None, unit: str) -> GainSchedules:
@@ -243,7 +244,7 @@ class OwnVariables(PdVariables):
     def _plain(self) -> bool:
         return False
 
-    def _matrices(self, log_values: Array) -> tuple[System, list[System]]:
+    def _matrices(self, log_values: Array) -> tuple[LawMatrices, list[LawMatrices]]:
         """Return A to D, and their derivatives with respect to the logarithm of each variable."""
         key = log_values.tobytes()
         if key not in self._known:
@@ -251,8 +252,8 @@ class OwnVariables(PdVariables):
                 self._known.clear()
             values = np.exp(log_values)
             slopes = self.code.slopes(values, self.sample_s)
-            scaled = [tuple(v * m for m in each) for v, each in zip(values, slopes, strict=True)]
-            self._known[key] = self.code.system(values, self.sample_s), scaled  # type: ignore[assignment]  # four of them
+            scaled = [(v * a, v * b, v * c, v * d) for v, (a, b, c, d) in zip(values, slopes, strict=True)]
+            self._known[key] = self.code.system(values, self.sample_s), scaled
         return self._known[key]
 
     def _terms(self, own: Array, axis: Axis) -> tuple[ValueAndSlopes, ComplexArray]:

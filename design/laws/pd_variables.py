@@ -123,7 +123,7 @@ class PdVariables:
             if fixed is None:
                 few = Rigid(*(getattr(task.rigid, f.name)[own] for f in fields(Rigid)))
                 fixed = least_gains(few, weights[own], wanted.rigid_hz, wanted.rigid_zeta, self.full)
-        self.gains = self._schedules(nodes, weights, fixed, UNIT_OF[case.gains.over])
+        self.gains: GainSchedules = self._schedules(nodes, weights, fixed, UNIT_OF[case.gains.over])
         self.further = task.further_gyros
         self.inputs = (*type(self).inputs, *(further_rate(k + 2) for k in range(self.further)))
         self.lag = Lag(case.load_relief.corner_hz, task.sample_s) if ACCELERATION in self.inputs else None
@@ -443,7 +443,7 @@ class PdVariables:
 
     def _schedule(self, at: list[float], columns: dict[str, list[float]]) -> GainSchedule:
         """Return the gain schedule of a design with the values of its columns."""
-        return GainSchedule(at, over=self.task.case.gains.over, **columns)
+        return GainSchedule(at, over=self.task.case.gains.over, **columns)  # type: ignore[arg-type]  # gains only
 
     def variables_of(self, law: DesignedLaw, clipped: bool = True) -> Array | None:
         if not isinstance(law, PdDesign):

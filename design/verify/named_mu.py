@@ -28,7 +28,7 @@ import scipy.linalg
 from threadpoolctl import threadpool_limits
 
 from maxq.control.kernel.records import Array, duplicate
-from maxq.design.laws.law import MEASUREMENTS
+from maxq.design.laws.law import MEASUREMENTS, Controller
 from maxq.design.loop.fixed_path import fixed_path
 from maxq.design.loop.loop import Loop, law_at
 from maxq.design.loop.multiloop import Multiloop, multiloop
@@ -197,7 +197,11 @@ def stable_within(node: Node, design: Design, campaign: LoadedCampaign) -> Withi
 
     A law is supported if its only sensor is the first gyro.
     """
-    law = law_at(design, node)
+    return stable_with(node, law_at(design, node), campaign)
+
+
+def stable_with(node: Node, law: Controller, campaign: LoadedCampaign) -> Within | None:
+    """Return the bound of the deviations at an operating point with a given law, as `stable_within` does."""
     if any(name not in MEASUREMENTS for name in law.inputs):
         return None
     deviations = deviations_of(campaign, node)

@@ -25,6 +25,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from maxq.control.kernel.records import Array
 from maxq.control.laws.own import MAX_MEMORY, MAX_VALUES, OwnLaw
@@ -37,7 +38,8 @@ SMALL_RAD, SAMPLES, SAME = 1e-4, 40, 1e-9
 """The amplitude and the number of samples of the comparison of `step` with `matrices`, and its tolerance."""
 STEP, DIFFERENCE, ALIKE = 1e-30, 1e-5, 1e-4  # complex step; relative step and tolerance of the differences
 
-System = tuple[Array, Array, Array, Array]
+LawMatrices = tuple[Array, Array, Array, Array]
+_C_FUNCTION: Any = type(ctypes.CFUNCTYPE(None)()).__mro__[1]  # the base of all functions of ctypes
 
 
 @dataclass(frozen=True)
@@ -58,14 +60,15 @@ class OwnCode:
         """Return the names of the columns of a gain table."""
         return tuple(OWN + name for name in self.names)
 
-    def system(self, values: Array, sample_s: float) -> System:
+    def system(self, values: Array | NDArray[np.complex128], sample_s: float) -> LawMatrices:
         """Return A, B, C, D of the law at values of its variables, real or complex. Raises ScenarioError."""
         try:
             given = self.matrices(values, sample_s)
         except Exception as error:  # a fault of the user's file, whatever it is
             raise self.error("matrices", described(error)) from None
         try:
-            a, b, c, d = (np.atleast_2d(np.asarray(m, values.dtype)) for m in given)
+            each: list[Any] = [np.atleast_2d(np.asarray(m, values.dtype)) for m in given]
+            a, b, c, d = each
         except (TypeError, ValueError) as error:
             allowed = "four arrays A, B, C, D"
             raise self.error("matrices", f"returns another form ({error})", allowed) from None
@@ -82,7 +85,7 @@ class OwnCode:
             raise self.error("matrices", f"the law has a pole of magnitude {largest:.6g}", "poles below 1")
         return a, b, c, d
 
-    def slopes(self, values: Array, sample_s: float) -> list[System]:
+    def slopes(self, values: Array, sample_s: float) -> list[LawMatrices]:
         """Return the derivatives of A, B, C, D with respect to each variable. Raises ScenarioError."""
         out = []
         for k in range(len(values)):
@@ -138,11 +141,11 @@ def _own_code(file: str, sha256: str, member: str, title: str) -> OwnCode:
         if found is None or (part != "variables" and not callable(found)):
             what = "a table of start, lower and upper bound by name" if part == "variables" else "a function"
             raise error("is missing" if found is None else "is not a function", part, what)
-    names, numbers = _variables(law.variables, error)
+    names, (start, lower, upper) = _variables(law.variables, error)
     constant = tuple(getattr(law, "constant", ()))
     if strange := [name for name in constant if name not in names]:
         raise error(f"names {strange[0]!r}", "constant", ", ".join(names))
-    return OwnCode(title, names, *numbers, constant, law.matrices, law.step)
+    return OwnCode(title, names, start, lower, upper, constant, law.matrices, law.step)
 
 
 def _variables(given: Any, error: Callable[..., ScenarioError]) -> tuple[tuple[str, ...], Array]:
@@ -188,7 +191,7 @@ def check_step(file: CodeFile, values: tuple[float, ...], sample_s: float) -> No
 
 def _caller(code: OwnCode) -> Callable[..., float]:
     """Return the function `step` for a call from Python."""
-    if not isinstance(code.step, ctypes._CFuncPtr):
+    if not isinstance(code.step, _C_FUNCTION):
         return lambda *given: float(code.step(*given))
     step = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 3)(_address(code.step))
 
@@ -217,7 +220,7 @@ def pack_own_law(file: CodeFile, values: tuple[float, ...], sample_s: float) -> 
 def _compiled(file: CodeFile) -> tuple[int, Any]:
     """Return the address of the compiled `step`, and the objects that keep it valid. Raises ScenarioError."""
     code = own_code(file)
-    if isinstance(code.step, ctypes._CFuncPtr):
+    if isinstance(code.step, _C_FUNCTION):
         return _address(code.step), code.step
     count, room, own = len(code.names), MAX_MEMORY, code.step
     if numba.config.DISABLE_JIT:

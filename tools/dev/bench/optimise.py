@@ -289,7 +289,7 @@ def robust() -> float:
 def petrel() -> tuple[float, float]:
     """Return the wall-clock time and the CPU time (s) of the robust design of petrel, without building the vehicle."""
     with tempfile.TemporaryDirectory() as folder:
-        made = [Path(sys.executable).with_name("simvehicle"), "petrel", "--out", f"{folder}/petrel"]
+        made = [str(Path(sys.executable).with_name("simvehicle")), "petrel", "--out", f"{folder}/petrel"]
         subprocess.run(made, check=True, stdout=subprocess.DEVNULL)
         loaded = read_case("petrel-robust", [f'scenario="{folder}/petrel/scenario.toml"'])
         begun, spent = time.perf_counter(), cpu_s()
