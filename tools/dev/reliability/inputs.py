@@ -66,7 +66,7 @@ class _TooLong(BaseException):
 
 
 @dataclass(frozen=True)
-class Kind:
+class InputKind:
     """A kind of input: files below a folder, and the command that reads a mutant of one of them.
 
     `run` takes the path of the file and returns the exit code. `share` is the part of all inputs.
@@ -100,7 +100,7 @@ def _main(module: Any, *words: str) -> int:
         return 0
 
 
-def answer(kind: Kind, file: str) -> tuple[int, str]:
+def answer(kind: InputKind, file: str) -> tuple[int, str]:
     """Return the exit code of an input, and its fault or an empty string."""
     before, said, code, what = set(_files()), io.StringIO(), -1, ""
     signal.setitimer(signal.ITIMER_PROF, LONGEST_S)  # of the processor, since the machine may be busy
@@ -151,7 +151,7 @@ def _files() -> Iterator[str]:
         yield from (os.path.join(place, name) for name in folders)
 
 
-def run(kinds: list[Kind], number: int, seed: int, shown: Callable[[str], object]) -> dict[str, InputCounts]:
+def run(kinds: list[InputKind], number: int, seed: int, shown: Callable[[str], object]) -> dict[str, InputCounts]:
     """Give `number` inputs in all to the commands, and return the outcomes by kind."""
     out, total = dict[str, InputCounts](), sum(kind.share for kind in kinds)
     for kind in kinds:
@@ -302,7 +302,7 @@ _ENDLESS = ("--web", "--view", "--view-port", "--screenshot", "--pace", "--realt
 """Options that open a window, a port or another machine, or wait."""
 
 
-def make_files(folder: Path, only: Collection[str] = ()) -> list[Kind]:
+def make_files(folder: Path, only: Collection[str] = ()) -> list[InputKind]:
     """Write intact files below `folder`, which becomes the working folder, and return the kinds, or those of `only`."""
     os.chdir(folder)
     fuzzer, soundings, foreign = map(of_tests, ("file_fuzzer", "test_usage_soundings", "test_reference_foreign_tables"))
@@ -365,51 +365,57 @@ def make_files(folder: Path, only: Collection[str] = ()) -> list[Kind]:
         return _main(sys.modules[f"maxq.tools.{module}"], *given)
 
     kinds = [
-        Kind("scenarios", tuple(scenarios.values()), fly, 3),
-        Kind("vehicles", tuple(str(next(Path(v).rglob("vehicle.toml"))) for v in vehicles), fly, 3),
-        Kind("tables of vehicles", tables, fly, 4),
-        Kind("designs", ("nominal/designs/ksr3-robust.toml", "load-relief/designs/ksr3-load-relief.toml"), fly, 2),
-        Kind("soundings", tuple(texts)[:4], lambda f: _fly("nominal", f"wind.profile={f}"), 6),
-        Kind("winds in NetCDF", ("era5.nc",), lambda f: _main(simrun, "winds", f, "--at", "35,125", "--out", "out"), 4),
-        Kind("RASP, RockSim", ("motor.eng", "motor.rse"), fly_with("vehicle.stage.0.engine.table"), 10),
-        Kind("drag curves", ("drag.csv",), fly_with("vehicle.stage.0.aero.table"), 3),
-        Kind("DATCOM", ("for006.dat",), _datcom, 8),
-        Kind("NASTRAN", ("beam.op2", "beam.f06", "beam.bdf"), _nastran, 15),
-        Kind(
+        InputKind("scenarios", tuple(scenarios.values()), fly, 3),
+        InputKind("vehicles", tuple(str(next(Path(v).rglob("vehicle.toml"))) for v in vehicles), fly, 3),
+        InputKind("tables of vehicles", tables, fly, 4),
+        InputKind("designs", ("nominal/designs/ksr3-robust.toml", "load-relief/designs/ksr3-load-relief.toml"), fly, 2),
+        InputKind("soundings", tuple(texts)[:4], lambda f: _fly("nominal", f"wind.profile={f}"), 6),
+        InputKind(
+            "winds in NetCDF", ("era5.nc",), lambda f: _main(simrun, "winds", f, "--at", "35,125", "--out", "out"), 4
+        ),
+        InputKind("RASP, RockSim", ("motor.eng", "motor.rse"), fly_with("vehicle.stage.0.engine.table"), 10),
+        InputKind("drag curves", ("drag.csv",), fly_with("vehicle.stage.0.aero.table"), 3),
+        InputKind("DATCOM", ("for006.dat",), _datcom, 8),
+        InputKind("NASTRAN", ("beam.op2", "beam.f06", "beam.bdf"), _nastran, 15),
+        InputKind(
             "published derivatives",
             ("points/greensite.toml", "points/greensite.csv", "points/greensite-mode.csv"),
             _points,
             2,
         ),
-        Kind("campaigns", ("ksr3/campaigns/ksr3.toml", "ksr3/winds/anheung-november-dispersion.csv"), _campaign, 1.5),
-        Kind(
+        InputKind(
+            "campaigns", ("ksr3/campaigns/ksr3.toml", "ksr3/winds/anheung-november-dispersion.csv"), _campaign, 1.5
+        ),
+        InputKind(
             "cases",
             tuple(map(str, sorted(Path("cases").glob("ksr3*.toml")))),
             lambda f: _main(simdesign, "optimise", f, "--no-pictures", "--out", "out"),
             12,
         ),
-        Kind(
+        InputKind(
             "suites",
             ("suites/quick.toml", "suites/standard.toml", "suites/ksr3-board.toml"),
             lambda f: _main(simverify, "ksr3-robust", "--suite", f, "--no-pack", "--out", "out"),
             8,
         ),
-        Kind(
+        InputKind(
             "layouts",
             ("layouts/petrel.toml", "layouts/gannet.toml", "layouts/heron.toml", "layouts/ksr3.toml"),
             _layout,
             8,
         ),
-        Kind("small layouts, built", ("layout.toml",), lambda f: _main(simvehicle, f, "--out", "out"), 0.1),
-        Kind(
+        InputKind("small layouts, built", ("layout.toml",), lambda f: _main(simvehicle, f, "--out", "out"), 0.1),
+        InputKind(
             "data of campaigns",
             ("kept/campaign.json", *map(str, sorted(Path("kept/runs").glob("*")))),
             lambda f: _main(simrun, "report", "kept", "--no-report"),
             1,
             again("kept"),
         ),
-        Kind("review packs", ("pack/verdict.json", "pack/results.json"), _pack, 0.2, again("pack")),
-        Kind("logs", ("flown/flight.mcap", "flown/summary.json"), lambda _: _main(simreplay, "flown", "--summary"), 1),
-        Kind("options", ("nominal/nominal.toml",), option, 15),
+        InputKind("review packs", ("pack/verdict.json", "pack/results.json"), _pack, 0.2, again("pack")),
+        InputKind(
+            "logs", ("flown/flight.mcap", "flown/summary.json"), lambda _: _main(simreplay, "flown", "--summary"), 1
+        ),
+        InputKind("options", ("nominal/nominal.toml",), option, 15),
     ]
     return [kind for kind in kinds if not only or kind.name in only]
