@@ -193,7 +193,7 @@ def test_whatever_the_user_does_next_the_risk_is_kept(user: User, planned: int |
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("user", [_follows_the_advice, _looks_all_the_time])
+@pytest.mark.parametrize("user", [pytest.param(_follows_the_advice, marks=pytest.mark.long), _looks_all_the_time])
 def test_the_exact_test_would_not_keep_the_risk(user: User) -> None:
     """The exact test at every look exceeds the risk, so the measurement above can fail."""
     assert np.mean([user(_failures(k), None, _exact_at_every_look) for k in range(100)]) > 0.18

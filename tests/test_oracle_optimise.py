@@ -331,7 +331,7 @@ def _interpolated(zero: Array, value: Array, where: Array) -> Array:
     return np.asarray(value[k] + share * (value[k + 1] - value[k]))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_global_search_beats_the_optimum_of_f2() -> None:
     """No global search finds a better F2; longer searches and higher orders are in tools/dev/bench/optimise.py."""
     p = kit.problem("filter.structure=F2", "gains.schedule=two-phase")
@@ -348,7 +348,7 @@ def test_no_global_search_beats_the_optimum_of_f2() -> None:
 @pytest.mark.parametrize(
     "overrides",
     [
-        ("filter.structure=F2", "gains.schedule=linear"),
+        pytest.param(("filter.structure=F2", "gains.schedule=linear"), marks=pytest.mark.long),
         pytest.param(("filter.structure=F4", "gains.schedule=linear"), marks=pytest.mark.long),
         pytest.param(("filter.structure=F4", "gains.schedule=free"), marks=pytest.mark.long),
         ("filter.structure=F4", "gains.schedule=linear", "loop=sampled"),

@@ -306,7 +306,7 @@ COLD = [f"vehicle.stage.0.engine.{n}.mass_flow_factor=0.98" for n in range(9)]
 @pytest.mark.parametrize(
     "changes",
     [
-        (),
+        pytest.param((), marks=pytest.mark.long),
         ("vehicle.stage.2.cutoff_decay_s=3.0",),
         pytest.param((*HOT, "vehicle.stage.0.aero.axial_factor=0.9"), marks=pytest.mark.long),
         pytest.param(

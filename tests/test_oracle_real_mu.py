@@ -131,7 +131,7 @@ def by_hand(*changes: Array, gain: float = 2.0) -> tuple[Uncertain, np.ndarray]:
     return Uncertain(whole, padded, np.zeros(len(changes)), np.ones(len(changes)), axes=2), gain * np.eye(2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_coupled_loops_have_the_bound_of_their_closed_form() -> None:
     """With s = -k +- sqrt(v w), two couplings destabilise from |v| = |w| = k, and one factor for both from k.
 

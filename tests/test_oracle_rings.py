@@ -129,7 +129,7 @@ def test_vehicle_without_rings_is_not_flown_again() -> None:
     assert with_swings([plain], nominal)[0] is plain
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_certificate_with_rings(loaded: LoadedScenario, node: Node) -> None:
     found = certify_node(loaded, node, names=("gain_up",))
     assert found.unexplained == ()

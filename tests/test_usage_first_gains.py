@@ -103,7 +103,7 @@ def test_a_value_that_only_the_vehicle_rejects_is_an_error_of_the_layout(
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_interrupted_build_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(folder: Path) -> FirstGains:
         assert (folder / "scenario.toml").exists()  # in a temporary folder

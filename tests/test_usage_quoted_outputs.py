@@ -40,6 +40,7 @@ PASSED: all 2 requirements met
 """
 LONG = {  # seconds of one core
     "docs/start/flight-code.md": 12,
+    "docs/start/margins.md": 9,
     "docs/start/monte-carlo.md": 20,
     "docs/tutorial.md": 420,
 }

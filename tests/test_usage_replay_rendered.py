@@ -206,6 +206,7 @@ source = "a test"
 """
 
 
+@pytest.mark.long
 def test_a_run_of_a_campaign_is_flown_again_and_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -341,7 +341,7 @@ def keys_below(value: object, path: str = "") -> list[str]:
 @pytest.mark.parametrize(
     "odd",
     [
-        pytest.param(odd, id=odd[:10] or "removed", marks=pytest.mark.long if n % 2 else [])
+        pytest.param(odd, id=odd[:10] or "removed", marks=pytest.mark.long if n % 4 else [])
         for n, odd in enumerate(ODD_VALUES)
     ],
 )
