@@ -16,7 +16,7 @@ from replaykit import OLD_LOG, free_port
 from maxq.tools.replay import viewer
 
 PATIENCE_S = 60.0
-QUICK = (("screenshot", signal.SIGKILL), ("screenshot", signal.SIGTERM), ("web", signal.SIGINT))
+QUICK = (("screenshot", signal.SIGKILL), ("web", signal.SIGINT))
 """Each way and each signal once."""
 
 pytestmark = pytest.mark.skipif(

@@ -310,7 +310,7 @@ def test_suggestions(word: str, known: list[str], expected: str) -> None:
     assert re.findall(r"did you mean (\w+)\?", suggestion(word, known)) == ([expected] if expected else [])
 
 
-ODD_VALUES = [  # of two values of a kind the second is tried by make test-long
+ODD_VALUES = [  # make test tries every fourth, make test-long all
     "",
     "true",
     "-1",
