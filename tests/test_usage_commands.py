@@ -81,15 +81,23 @@ def test_the_traceback_is_shown_on_request(capsys: Printed, monkeypatch: pytest.
     assert capsys.readouterr().err.startswith("Traceback (most recent call last):")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number", [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+)
 def test_the_first_signal_is_a_request_the_second_interrupts(number: signal.Signals) -> None:
+    ignored = signal.getsignal(number) == signal.SIG_IGN  # SIGHUP under nohup, which the commands leave alone
+    if ignored:
+        signal.signal(number, signal.SIG_DFL)
     before = signal.getsignal(number)
     with Interruption() as interruption:
         signal.raise_signal(number)
         assert interruption.requested
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(number)
-    assert signal.getsignal(number) is before
+    after = signal.getsignal(number)
+    if ignored:
+        signal.signal(number, signal.SIG_IGN)
+    assert after is before
 
 
 def test_sigterm_ends_a_process_like_ctrl_c() -> None:

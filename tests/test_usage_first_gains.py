@@ -97,7 +97,7 @@ def test_a_value_that_only_the_vehicle_rejects_is_an_error_of_the_layout(
     assert simvehicle.main(["ksr3", "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err.strip().splitlines()[-1]
     assert said == (
-        f"simvehicle: ksr3: the vehicle made from it is not valid: {tmp_path}/out/vehicle/vehicle.toml: "
+        "simvehicle: ksr3: the vehicle made from it is not valid: vehicle/vehicle.toml: "
         "reference.length_m = -1.0: is out of range; allowed: a number > 0 (and 3 more)"
     )
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []

@@ -268,7 +268,7 @@ def test_the_flush_to_zero_of_the_code_is_its_own(place: str) -> None:
 @needs_linux
 def test_a_floating_point_trap_of_the_code_is_in_its_step() -> None:
     """The simulator's arithmetic between two samples is inexact too, but has no trap."""
-    flight = flown(*attacking(STEP="feenableexcept(FE_INEXACT)"))
+    flight = flown(*attacking(STEP="feclearexcept(FE_ALL_EXCEPT); feenableexcept(FE_INEXACT)"))
     assert flight.failures == ("flight software at 0.520 s: crashed in its step: SIGFPE",)
 
 

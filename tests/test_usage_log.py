@@ -199,13 +199,16 @@ def test_a_disk_that_fills_up_keeps_the_chunks_before(tmp_path: Path, monkeypatc
     file = log._container._file
 
     class FullDisk:
-        written = 0
+        written, closed = 0, False
 
         def write(self, data: memoryview) -> int:
             if self.written:
                 raise OSError(28, "No space left on device")
             self.written = file.write(data[:1000])
             return self.written
+
+        def fileno(self) -> int:
+            return int(file.fileno())
 
         def close(self) -> None:
             file.close()

@@ -267,7 +267,7 @@ WRONG = {
     "scenario and log": (["nominal", "--from", "x.mcap"], "one LOG|DIR at a time: what is 'nominal'?"),
     "option of another order": (
         ["--list", "--out", "x"],
-        "--out is an option of simrun fly, refly, campaign, merge or winds, not of simrun",
+        "--out is an option of simrun fly, refly, campaign, merge, compare, calibrate or winds, not of simrun",
     ),
     "no log": (["--from", "nothing.mcap"], "nothing.mcap: the log cannot be read"),
     "not a log": (["--from", "binary.toml"], "binary.toml: this is not a log"),

@@ -391,7 +391,14 @@ def test_a_ledger_that_lost_attempts_of_a_pack_is_found(here: Path, capsys: pyte
         (None, "pack/verdict.json: cannot be read: no such file or directory"),
         ("{", "pack/verdict.json: is not JSON: "),
         ("[]", "pack/verdict.json: no verdict.json that can be checked: it has no asked"),
-        ('{"asked": {}, "files": {}, "hashes": {}, "attempt": {}, "flights": []}', "of this version of simverify"),
+        (
+            '{"asked": {}, "files": {}, "hashes": {}, "attempt": {}, "flights": []}',
+            "that can be checked: it has no verdict",
+        ),
+        (
+            '{"asked": {}, "files": {}, "hashes": {}, "attempt": {}, "flights": [], "verdict": "x", "suite": "y"}',
+            "of this version of simverify",
+        ),
     ],
 )
 def test_what_cannot_be_read_has_an_exit_code_of_its_own(

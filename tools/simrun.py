@@ -290,7 +290,7 @@ def _add_export(parser: Parser) -> None:
 def _add_measured(parser: Parser) -> None:
     examples = """\
   simrun compare runs/nominal flown.csv
-  simrun compare runs/nominal flown.csv --alias 'Baro=altitude_m' --limit altitude_m.rms=50
+  simrun compare runs/nominal flown.csv --limit altitude_m.rms=50
 """
     exits = {Exit.OK: "compared, all limits met", Exit.FAILED: "a limit is exceeded"}
     about = "Compare a flown flight with measured time series"
