@@ -605,15 +605,17 @@ NOISY = [*NOISY_GNSS, *(f"vehicle.stage.{n}.accelerometer.bias_mps2=[0.01,-0.005
 
 @pytest.mark.long
 @needs_compiler
-def test_gnss_errors_outage_and_false_positions_leave_an_orbit() -> None:
+@pytest.mark.parametrize("seed", [1, 3])  # with 3, a faster estimate of the tilt loses GNSS
+def test_gnss_errors_outage_and_false_positions_leave_an_orbit(seed: int) -> None:
     """Fly with noise and accelerometer bias, 60 s without GNSS, and 20 s of positions that are 3 km off."""
     faults = [
         "fault=[{kind='gnss-outage',at_s=150.0,until_s=210.0},"
         "{kind='gnss-bias',at_s=300.0,until_s=320.0,position_bias_m=[3000.0,0.0,0.0]}]"
     ]
-    flight = computer_flight(*NOISY, *faults)
+    flight = computer_flight(*NOISY, *faults, f"run.seed={seed}")
     assert abs(flight.metrics["cutoff_perigee_error_m"]) < 50.0
-    assert abs(flight.metrics["cutoff_apogee_error_m"]) < 200.0
+    # GNSS noise leaves a random error of about 180 m, the RMS of 13 seeds; a lost GNSS, more than 5 km.
+    assert abs(flight.metrics["cutoff_apogee_error_m"]) < 600.0
     assert flight.final["monitor_8"] == 200.0  # the rejected solutions are those of the false positions
     blind = computer_flight(*NOISY, "fault=[{kind='gnss-outage',at_s=0.0}]")
     assert abs(blind.metrics["cutoff_apogee_error_m"]) > 5000.0  # of the accelerometer's bias

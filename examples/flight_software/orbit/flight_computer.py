@@ -190,7 +190,7 @@ class Navigation:
         self.v = added(added(self.v, k_vr, miss_r), k_vv, miss_v)
         if self.corrected is not None and self.force > 1.0:
             since = max(i.gnss_time_s - self.corrected, h)
-            self.tilt = added(self.tilt, 0.25 * k_vv * k_vv / since / self.force, miss_v)
+            self.tilt = added(self.tilt, 0.05 * k_vv * k_vv / since / self.force, miss_v)
         self.corrected = i.gnss_time_s
         self.p_rr, self.p_rv = rr - k_rr * rr - k_rv * rv, rv - k_rr * rv - k_rv * vv
         self.p_vv = vv - k_vr * rv - k_vv * vv

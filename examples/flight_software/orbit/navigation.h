@@ -1,11 +1,12 @@
 /* Navigation: strapdown integration of gyro and accelerometer increments, corrected by GNSS.
  *
  * Of three inertial units, the middle increment counts. A unit whose increments remain apart from it has failed and is
- * not used again, and of two units, the mean counts: the greater of two rounded increments would drift. Position and velocity are those of the accelerometer, in I. A
- * Kalman filter with a position and a velocity error per axis (the same covariance for all axes) weighs each GNSS
- * solution. The solution is compared with the state at the time at which it was valid. Solutions farther off than GATE
- * standard deviations are rejected. The velocity that it repeatedly lacks is that of a tilted platform: the tilt, as the
- * error of the direction of the specific force, is estimated with a quarter of the bandwidth of the velocity.
+ * not used again; of two units, the mean counts, because the greater of two rounded increments would drift. Position and
+ * velocity are those of the accelerometer, in I. A Kalman filter with a position and a velocity error per axis (the same
+ * covariance for all axes) weighs each GNSS solution. The solution is compared with the state at the time at which it was
+ * valid. Solutions farther off than GATE standard deviations are rejected. A velocity error that returns is that of a
+ * tilted platform: the tilt, as the error of the direction of the specific force, is estimated with a twentieth of the
+ * bandwidth of the velocity. With a quarter, its noise could lose GNSS after an outage of a minute.
  */
 #ifndef NAVIGATION_H
 #define NAVIGATION_H
@@ -162,7 +163,7 @@ static void nav_correct(navigation *n, const maxq_fsw_setup *s, const maxq_fsw_i
     k[0][1] = (p_rv * s_rr - p_rr * p_rv) / det;
     k[1][0] = (p_rv * s_vv - p_vv * p_rv) / det;
     k[1][1] = (p_vv * s_rr - p_rv * p_rv) / det;
-    share = 0.25 * k[1][1] * k[1][1] / fmax(in->gnss_time_s - n->corrected_s, sample_s) / n->force_mps2;
+    share = 0.05 * k[1][1] * k[1][1] / fmax(in->gnss_time_s - n->corrected_s, sample_s) / n->force_mps2;
     for (i = 0; i < 3; ++i) {
         n->r[i] += k[0][0] * miss_r[i] + k[0][1] * miss_v[i];
         n->v[i] += k[1][0] * miss_r[i] + k[1][1] * miss_v[i];
