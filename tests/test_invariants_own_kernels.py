@@ -74,7 +74,7 @@ def test_a_campaign_uses_kernels_of_its_vehicle_once_they_are_stored(
     monkeypatch.setattr(own_kernels, "_PROGRAM", program)
     answers = iter(stored)
     monkeypatch.setattr(FlightRun, "finds_kernels", lambda run, own: next(answers))
-    kernels = own_kernels.OwnKernels(campaign.with_campaign(runs=runs))
+    kernels = own_kernels.OwnKernels(campaign, runs)
     compiler = kernels._compiler
     scenario, found = campaign.base.scenario, list[bool]()
     assert (compiler is None) == (runs < 500 or stored[0])
@@ -98,7 +98,7 @@ def test_another_process_compiles_and_stores(campaign, monkeypatch):
         return pack_for_one_vehicle(scenario)
 
     common = fly_rows(campaign, [(campaign.plan.draw(0, 1), 0)])
-    kernels = own_kernels.OwnKernels(campaign.with_campaign(runs=500))
+    kernels = own_kernels.OwnKernels(campaign, 500)
     if kernels._compiler is not None:
         assert kernels._compiler.wait() == 0
     monkeypatch.setattr(own_kernels, "pack_for_one_vehicle", packed)

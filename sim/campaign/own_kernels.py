@@ -32,13 +32,13 @@ def load_kernels(campaign: LoadedCampaign, pack: Packing = pack_flight) -> Fligh
 class OwnKernels:
     """The packing of a campaign's flights for kernels of its vehicle, as soon as these are stored on disk.
 
-    Until then, and for campaigns of fewer than OWN_KERNELS_FROM runs, flights are packed for the kernels that all
+    Until then, and for fewer than OWN_KERNELS_FROM runs, flights are packed for the kernels that all
     vehicles share. Both compute the same bits. `end` stops a compilation, which keeps its finished parts, and so does
     the end of this process.
     """
 
-    def __init__(self, campaign: LoadedCampaign) -> None:
-        """Load the common kernels, and begin the compilation of the vehicle's if it is worthwhile and necessary.
+    def __init__(self, campaign: LoadedCampaign, runs: int) -> None:
+        """Load the common kernels, and begin the compilation of the vehicle's if `runs` runs justify it.
 
         A flight starts its external flight code, and a second process must not start another instance. Campaigns of
         such code use the kernels of the vehicle only if these are stored already.
@@ -46,7 +46,7 @@ class OwnKernels:
         self._compiler: subprocess.Popen[str] | None = None
         self._compiled = self._ready = False
         run = load_kernels(campaign)
-        if campaign.campaign.runs < OWN_KERNELS_FROM:
+        if runs < OWN_KERNELS_FROM:
             return
         scenario = campaign.base.scenario
         own = pack_for_one_vehicle(scenario)

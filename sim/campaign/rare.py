@@ -205,7 +205,7 @@ def rare_failure(
     """
     flown = campaign.with_campaign(envelope=Envelope(runs=0))
     sign = 1.0 if largest else -1.0
-    with ThreadPoolExecutor(workers) as pool, OwnKernels(campaign.with_campaign(runs=flights)) as kernels:
+    with ThreadPoolExecutor(workers) as pool, OwnKernels(campaign, flights) as kernels:
 
         def value(z: Array, noise: IntArray) -> Array:
             drawn, good = flown.plan.of_scores(z, noise)

@@ -355,7 +355,7 @@ class Threads:
         """Load the kernels if there are gaps, and return an iterator that submits the next task."""
         if not gaps:
             return iter(())
-        self._own = OwnKernels(self._campaign)
+        self._own = OwnKernels(self._campaign, sum(size for _, size in gaps))
         return self._tasks(gaps, self._own.pack)
 
     def _tasks(self, gaps: list[Gap], pack: Packing) -> Iterator[Future[list[Row]]]:
@@ -486,4 +486,4 @@ def evaluated(campaign: LoadedCampaign, rows: Sequence[Row]) -> FlownBatch:
 def _unpacked(packed: bytes) -> tuple[LoadedCampaign, OwnKernels]:
     """Return the campaign of a task, which a worker creates once, and its kernels, which the worker may compile."""
     campaign = campaign_from(json.loads(zlib.decompress(packed)))
-    return campaign, OwnKernels(campaign)
+    return campaign, OwnKernels(campaign, campaign.campaign.runs)
