@@ -12,7 +12,7 @@ from functools import partial
 
 from maxq.sim.campaign.read import LoadedCampaign
 from maxq.sim.campaign.runs import Packing
-from maxq.sim.packing.flight import Packed, pack_flight, pack_for_one_vehicle
+from maxq.sim.packing.flight import Packed, for_one_vehicle, pack_flight, pack_for_one_vehicle
 from maxq.sim.run.fly import FlightRun
 from maxq.sim.scenario.loader import load_scenario_text
 from maxq.sim.scenario.schema_scenario import Scenario
@@ -49,7 +49,7 @@ class OwnKernels:
         if runs < OWN_KERNELS_FROM:
             return
         scenario = campaign.base.scenario
-        own = pack_for_one_vehicle(scenario)
+        own = for_one_vehicle(run.packed)
         if own.parameters.dtype == run.packed.parameters.dtype:  # its stages have different sizes
             return
         self._are_stored = partial(run.finds_kernels, own)

@@ -141,7 +141,11 @@ def pack_for_one_vehicle(scenario: Scenario) -> Packed:
     These kernels compute the same bits in less time. Compiling them takes as long as about two hundred flights, once.
     Stages of different sizes use the common kernels.
     """
-    packed = pack_flight(scenario)
+    return for_one_vehicle(pack_flight(scenario))
+
+
+def for_one_vehicle(packed: Packed) -> Packed:
+    """Return a packed flight in the form of `pack_for_one_vehicle`."""
     return replace(packed, parameters=with_constants(packed.parameters, "vehicle", "sizes"))
 
 
